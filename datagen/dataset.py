@@ -1,0 +1,148 @@
+"""An open dataset: posed RGB-D frames, whatever folder format they came in."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.camera import PinholeCamera
+from datagen.dataset_format import FRAMES_FOLDER, METADATA_FILE, Metadata, frame_file, read_metadata
+from datagen.errors import InputError
+from datagen.images import read_color, read_depth
+from datagen.rigid import Matrix, rigid
+
+
+@dataclass(frozen=True, kw_only=True)
+class Frame:
+    """One posed RGB-D image.
+
+    ``color`` (height, width, 3) uint8 RGB; ``depth`` (height, width) float32, planar, metres, 0 = invalid;
+    ``world_from_camera`` 4×4 rigid, OpenCV camera axes.
+    """
+
+    frame_id: int
+    color: NDArray[np.uint8]
+    depth: NDArray[np.float32]
+    world_from_camera: Matrix
+
+
+@dataclass(frozen=True, kw_only=True)
+class Dataset:
+    """Posed RGB-D frames in a folder; images are read when asked for, and every read is checked.
+
+    ``frame_ids`` are the frames that the dataset says it has, whether or not all of their files are there yet.
+    ``depth_scale`` is metres per step of the depth images. ``metadata`` is None where the format has none.
+    """
+
+    folder: Path
+    format_name: str
+    frames_folder: Path
+    frame_ids: tuple[int, ...]
+    camera: PinholeCamera
+    depth_scale: float
+    color_suffix: str = "png"
+    ground_truth_mesh: Path | None = None
+    metadata: Metadata | None = None
+
+    @property
+    def _size(self) -> tuple[int, int]:
+        return self.camera.width, self.camera.height
+
+    def color(self, frame_id: int) -> NDArray[np.uint8]:
+        """Return the colour image (height, width, 3), RGB, of a frame."""
+        return read_color(
+            frame_file(self.frames_folder, frame_id, f"color.{self.color_suffix}"), size=self._size
+        )
+
+    def depth(self, frame_id: int) -> NDArray[np.float32]:
+        """Return planar depth (height, width) in metres, 0 = invalid, of a frame."""
+        path = frame_file(self.frames_folder, frame_id, "depth.png")
+        return read_depth(path, size=self._size, metres_per_step=self.depth_scale)
+
+    def world_from_camera(self, frame_id: int) -> Matrix:
+        """Return the pose of a frame, made exactly rigid where it is so within rounding."""
+        return read_pose(frame_file(self.frames_folder, frame_id, "pose.txt"))
+
+    def frame(self, frame_id: int) -> Frame:
+        """Read a whole frame."""
+        return Frame(
+            frame_id=frame_id,
+            color=self.color(frame_id),
+            depth=self.depth(frame_id),
+            world_from_camera=self.world_from_camera(frame_id),
+        )
+
+    def is_complete(self, frame_id: int) -> bool:
+        """Tell whether all files of a frame are there."""
+        parts = (f"color.{self.color_suffix}", "depth.png", "pose.txt")
+        return all(frame_file(self.frames_folder, frame_id, part).is_file() for part in parts)
+
+    def require_complete(self, frame_ids: tuple[int, ...]) -> None:
+        """Raise InputError, naming the first file that is missing, unless every file of ``frame_ids`` is there."""
+        parts = (f"color.{self.color_suffix}", "depth.png", "pose.txt")
+        wanted = [frame_file(self.frames_folder, i, part) for i in frame_ids for part in parts]
+        missing = [path for path in wanted if not path.is_file()]
+        if missing:
+            frames = len({path.name.split(".")[0] for path in missing})
+            raise InputError(
+                f"{missing[0]}: the file is missing, and {frames} of the {len(frame_ids)} chosen frames lack one; "
+                "finish the recording or rendering, or choose complete frames with --frames"
+            )
+
+
+def open_dataset(folder: Path) -> Dataset:
+    """Open a dataset folder, its format told by what lies in it: ours, or a 7-Scenes sequence.
+
+    Raises InputError where the folder is missing, empty, or of no known format.
+    """
+    from datagen.seven_scenes import is_seven_scenes, open_seven_scenes  # noqa: PLC0415 - it builds a Dataset
+
+    if not folder.is_dir():
+        raise InputError(
+            f"{folder}: no such folder; name the folder that holds {METADATA_FILE} or frame-*.pose.txt"
+        )
+    if (folder / METADATA_FILE).is_file():
+        return _open_scanback(folder)
+    if is_seven_scenes(folder):
+        return open_seven_scenes(folder)
+    sequences = sorted(path.parent.name for path in folder.glob("seq-*/frame-000000.*.txt"))
+    if sequences:
+        raise InputError(
+            f"{folder}: holds the sequences {', '.join(sequences)}; name one of them, {folder / sequences[0]}"
+        )
+    raise InputError(
+        f"{folder}: not a dataset: it holds neither {METADATA_FILE} nor 7-Scenes files (frame-000000.depth.png, …)"
+    )
+
+
+def read_pose(path: Path) -> Matrix:
+    """Read a 4×4 pose from a text file; raises InputError where it is missing, malformed or not rigid."""
+    try:
+        text = path.read_text()
+    except FileNotFoundError:
+        raise InputError(f"{path}: the file is missing; every frame needs its pose") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read ({error})") from error
+    try:
+        values = np.array([float(word) for word in text.split()])
+    except ValueError as error:
+        raise InputError(f"{path}: {error}; expected 16 numbers, a 4×4 world_from_camera matrix") from None
+    if values.size != 16:
+        raise InputError(f"{path}: found {values.size} numbers, expected 16, a 4×4 world_from_camera matrix")
+    return rigid(values.reshape(4, 4), source=str(path))
+
+
+def _open_scanback(folder: Path) -> Dataset:
+    metadata = read_metadata(folder)
+    mesh = folder / metadata.ground_truth_mesh if metadata.ground_truth_mesh else None
+    return Dataset(
+        folder=folder,
+        format_name="scanback",
+        frames_folder=folder / FRAMES_FOLDER,
+        frame_ids=tuple(range(metadata.frame_count)),
+        camera=metadata.intrinsics.camera,
+        depth_scale=metadata.depth_scale,
+        ground_truth_mesh=mesh,
+        metadata=metadata,
+    )

@@ -1,0 +1,103 @@
+"""The dataset on disk: its file names and the contents of ``dataset.json``."""
+
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from datagen.atomic_write import write_json
+from datagen.camera import PinholeCamera
+from datagen.errors import InputError
+
+METADATA_FILE = "dataset.json"
+FRAMES_FOLDER = "frames"
+GROUND_TRUTH_FILE = "ground_truth/mesh.ply"
+
+
+def frame_file(folder: Path, frame_id: int, part: str) -> Path:
+    """Return the path of one file of a frame; ``part`` is ``color.png``, ``depth.png`` or ``pose.txt``."""
+    return folder / f"frame-{frame_id:06d}.{part}"
+
+
+class _Record(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+
+class Intrinsics(_Record):
+    """The camera, as ``PinholeCamera`` has it: pixels, integer pixel centres."""
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+    @property
+    def camera(self) -> PinholeCamera:
+        """The same numbers as a camera that projects."""
+        return PinholeCamera(**self.model_dump())
+
+
+class Conventions(_Record):
+    """What the numbers of a dataset mean; written for readers who have only the files."""
+
+    units: Literal["metres"] = "metres"
+    depth: Literal["planar z, 0 = invalid"] = "planar z, 0 = invalid"
+    pose: Literal["world_from_camera"] = "world_from_camera"
+    camera_axes: Literal["x right, y down, z forward"] = "x right, y down, z forward"
+    pixel_centre: Literal["integer"] = "integer"
+
+
+class Metadata(_Record):
+    """The contents of ``dataset.json``.
+
+    ``depth_scale`` is metres per step of the 16-bit depth images; ``frames_per_second`` is the time base: frame i is
+    at i / frames_per_second seconds. ``recipe`` holds all that decides what the frames show (scene, size, samples,
+    seed) and ``provenance`` what was used to make them (versions, device).
+    """
+
+    format: Literal["scanback-dataset"] = "scanback-dataset"
+    version: Literal[1] = 1
+    frame_count: int = Field(ge=1)
+    intrinsics: Intrinsics
+    depth_scale: float = Field(gt=0)
+    frames_per_second: float = Field(gt=0)
+    conventions: Conventions = Conventions()
+    layers: tuple[str, ...] = Field(default=(), strict=False)
+    ground_truth_mesh: str | None = None
+    recipe: dict[str, Any]
+    provenance: dict[str, Any]
+
+
+def read_metadata(folder: Path) -> Metadata:
+    """Read ``dataset.json``; raises InputError naming the key at fault."""
+    path = folder / METADATA_FILE
+    try:
+        return Metadata.model_validate_json(path.read_bytes())
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
+    except ValidationError as error:
+        raise InputError(describe_validation_error(path, error)) from error
+
+
+def write_metadata(folder: Path, metadata: Metadata) -> None:
+    """Write ``dataset.json`` atomically."""
+    write_json(folder / METADATA_FILE, metadata.model_dump(mode="json"))
+
+
+def describe_validation_error(path: Path, error: ValidationError) -> str:
+    """Return one line for each fault that pydantic found: file, key, what was expected, what stood there."""
+    lines = []
+    for fault in error.errors():
+        key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in fault["loc"]).lstrip(
+            "."
+        )
+        if fault["type"] == "extra_forbidden":
+            lines.append(f"{path}: {key}: unknown key; check its spelling against the documented ones")
+        elif fault["type"] == "missing":
+            lines.append(f"{path}: {key}: missing")
+        else:
+            found = "" if isinstance(fault["input"], dict) else f", found {fault['input']!r}"
+            lines.append(f"{path}: {key or 'file'}: {fault['msg'].removeprefix('Value error, ')}{found}")
+    return "\n".join(lines)

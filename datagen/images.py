@@ -1,0 +1,94 @@
+"""Colour and depth images on disk."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.atomic_write import write_bytes
+from datagen.errors import InputError
+
+DEPTH_INVALID_MAX = 65535
+"""Kinect recordings mark a missing return with the largest value; 0 marks it everywhere."""
+
+
+def read_color(path: Path, *, size: tuple[int, int]) -> NDArray[np.uint8]:
+    """Return a colour image (height, width, 3), RGB, uint8.
+
+    Raises InputError where the file is missing, damaged, or not of ``size`` (width, height).
+    """
+    image = _decode(path, cv2.IMREAD_COLOR)
+    _check_size(path, image, size)
+    return cv2.cvtColor(image, cv2.COLOR_BGR2RGB).astype(np.uint8, copy=False)
+
+
+def read_depth(path: Path, *, size: tuple[int, int], metres_per_step: float) -> NDArray[np.float32]:
+    """Return planar depth (height, width) in metres, float32, 0 where invalid.
+
+    Raises InputError where the file is missing, damaged, not a 16-bit single-channel image, or not of ``size``.
+    """
+    image = _decode(path, cv2.IMREAD_UNCHANGED)
+    if image.dtype != np.uint16 or image.ndim != 2:
+        raise InputError(
+            f"{path}: found {image.dtype} with shape {image.shape}, expected a 16-bit image of one channel; "
+            "an 8-bit preview of the depth cannot be used"
+        )
+    _check_size(path, image, size)
+    depth = image.astype(np.float32) * np.float32(metres_per_step)
+    depth[image == DEPTH_INVALID_MAX] = 0
+    return depth
+
+
+def write_color(path: Path, color: NDArray[np.uint8]) -> None:
+    """Write an RGB image (height, width, 3), uint8, atomically as PNG."""
+    _encode_png(path, cv2.cvtColor(color, cv2.COLOR_RGB2BGR))
+
+
+def write_depth(path: Path, depth: NDArray[np.floating], *, metres_per_step: float) -> None:
+    """Write planar depth (height, width), metres, 0 = invalid, atomically as a 16-bit PNG.
+
+    Raises InputError where a depth is negative, not finite, or too large for the scale: it is never clipped.
+    """
+    if not np.isfinite(depth).all() or (depth < 0).any():
+        raise InputError(f"{path}: depth holds NaN, infinity or a negative value; mark invalid pixels with 0")
+    steps = np.rint(np.asarray(depth, dtype=np.float64) / metres_per_step)
+    if (steps >= DEPTH_INVALID_MAX).any():
+        needed = float(depth.max()) / (DEPTH_INVALID_MAX - 1)
+        raise InputError(
+            f"{path}: a depth of {depth.max():.3f} m does not fit 16 bits at {metres_per_step:g} m per step; "
+            f"set depth_scale to {needed:.2g} or more"
+        )
+    _encode_png(path, steps.astype(np.uint16))
+
+
+def _decode(path: Path, flags: int) -> NDArray[np.generic]:
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        raise InputError(f"{path}: the file is missing") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
+    # A cut JPEG decodes without complaint, its rest grey: the end marker tells. A cut PNG is refused by the decoder.
+    cut = data[:2] == b"\xff\xd8" and data.rstrip(b"\x00")[-2:] != b"\xff\xd9"
+    image = cv2.imdecode(np.frombuffer(data, np.uint8), flags) if data and not cut else None
+    if image is None:
+        raise InputError(
+            f"{path}: damaged or cut short ({len(data)} bytes), not a whole image; copy or render it again"
+        )
+    return image
+
+
+def _check_size(path: Path, image: NDArray[np.generic], size: tuple[int, int]) -> None:
+    height, width = image.shape[:2]
+    if (width, height) != size:
+        raise InputError(
+            f"{path}: the image is {width}×{height}, the dataset's camera {size[0]}×{size[1]}; "
+            "all frames of a dataset share one size"
+        )
+
+
+def _encode_png(path: Path, image: NDArray[np.generic]) -> None:
+    encoded, data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 3])
+    assert encoded, f"OpenCV could not encode {path}"
+    write_bytes(path, data.tobytes())

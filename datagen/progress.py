@@ -1,0 +1,48 @@
+"""Progress of long work, reported by the library and drawn by the command line."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Protocol
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TaskProgressColumn,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+
+class ProgressReporter(Protocol):
+    """Takes a stage's name and number of steps, and gives back what to call after each step."""
+
+    def __call__(self, stage: str, total: int) -> Callable[[], None]:
+        """Begin ``stage``; the result advances it by one step."""
+
+
+def silent(stage: str, total: int) -> Callable[[], None]:  # noqa: ARG001
+    """Report nothing."""
+    return lambda: None
+
+
+@contextmanager
+def on_terminal() -> Iterator[ProgressReporter]:
+    """Draw a bar with the time left for each stage, on standard error, so that standard output stays for results."""
+    columns = (
+        TextColumn("{task.description:<12}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True)) as progress:
+
+        def report(stage: str, total: int) -> Callable[[], None]:
+            task = progress.add_task(stage, total=total)
+            return lambda: progress.advance(task)
+
+        yield report
