@@ -51,9 +51,7 @@ class Dataset:
 
     def color(self, frame_id: int) -> NDArray[np.uint8]:
         """Return the colour image (height, width, 3), RGB, of a frame."""
-        return read_color(
-            frame_file(self.frames_folder, frame_id, f"color.{self.color_suffix}"), size=self._size
-        )
+        return read_color(frame_file(self.frames_folder, frame_id, f"color.{self.color_suffix}"), size=self._size)
 
     def depth(self, frame_id: int) -> NDArray[np.float32]:
         """Return planar depth (height, width) in metres, 0 = invalid, of a frame."""
@@ -99,9 +97,7 @@ def open_dataset(folder: Path) -> Dataset:
     from datagen.seven_scenes import is_seven_scenes, open_seven_scenes  # noqa: PLC0415 - it builds a Dataset
 
     if not folder.is_dir():
-        raise InputError(
-            f"{folder}: no such folder; name the folder that holds {METADATA_FILE} or frame-*.pose.txt"
-        )
+        raise InputError(f"{folder}: no such folder; name the folder that holds {METADATA_FILE} or frame-*.pose.txt")
     if (folder / METADATA_FILE).is_file():
         return _open_scanback(folder)
     if is_seven_scenes(folder):

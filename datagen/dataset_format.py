@@ -90,9 +90,7 @@ def describe_validation_error(path: Path, error: ValidationError) -> str:
     """Return one line for each fault that pydantic found: file, key, what was expected, what stood there."""
     lines = []
     for fault in error.errors():
-        key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in fault["loc"]).lstrip(
-            "."
-        )
+        key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in fault["loc"]).lstrip(".")
         if fault["type"] == "extra_forbidden":
             lines.append(f"{path}: {key}: unknown key; check its spelling against the documented ones")
         elif fault["type"] == "missing":

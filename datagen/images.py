@@ -62,7 +62,7 @@ def write_depth(path: Path, depth: NDArray[np.floating], *, metres_per_step: flo
     _encode_png(path, steps.astype(np.uint16))
 
 
-def _decode(path: Path, flags: int) -> NDArray[np.generic]:
+def _decode(path: Path, flags: int) -> cv2.typing.MatLike:
     try:
         data = path.read_bytes()
     except FileNotFoundError:
@@ -79,7 +79,7 @@ def _decode(path: Path, flags: int) -> NDArray[np.generic]:
     return image
 
 
-def _check_size(path: Path, image: NDArray[np.generic], size: tuple[int, int]) -> None:
+def _check_size(path: Path, image: cv2.typing.MatLike, size: tuple[int, int]) -> None:
     height, width = image.shape[:2]
     if (width, height) != size:
         raise InputError(
@@ -88,7 +88,7 @@ def _check_size(path: Path, image: NDArray[np.generic], size: tuple[int, int]) -
         )
 
 
-def _encode_png(path: Path, image: NDArray[np.generic]) -> None:
+def _encode_png(path: Path, image: cv2.typing.MatLike) -> None:
     encoded, data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 3])
     assert encoded, f"OpenCV could not encode {path}"
     write_bytes(path, data.tobytes())

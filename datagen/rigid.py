@@ -81,7 +81,7 @@ def look_at(position: ArrayLike, target: ArrayLike, *, up: ArrayLike = (0, 0, 1)
     forward = np.subtract(target, position).astype(np.float64)
     right = np.cross(forward, np.asarray(up, dtype=np.float64))
     if np.linalg.norm(right) <= 1e-9 * np.linalg.norm(forward) * np.linalg.norm(up):
-        raise InputError(f"look_at: the view from {position} to {target} is along the up direction {up}")
+        raise InputError(f"look_at: the view from {position!r} to {target!r} is along the up direction {up!r}")
     forward /= np.linalg.norm(forward)
     right /= np.linalg.norm(right)
     world_from_camera = np.eye(4)

@@ -58,9 +58,5 @@ def _read_camera(path: Path) -> PinholeCamera:
     except ValueError as error:
         raise InputError(f"{path}: {error}; expected a 3×3 intrinsic matrix") from None
     if matrix.shape != (3, 3) or matrix[0, 1] != 0 or (matrix[2] != (0, 0, 1)).any():
-        raise InputError(
-            f"{path}: expected a 3×3 intrinsic matrix [fx 0 cx; 0 fy cy; 0 0 1], found {matrix.tolist()}"
-        )
-    return PinholeCamera(
-        width=width, height=height, fx=matrix[0, 0], fy=matrix[1, 1], cx=matrix[0, 2], cy=matrix[1, 2]
-    )
+        raise InputError(f"{path}: expected a 3×3 intrinsic matrix [fx 0 cx; 0 fy cy; 0 0 1], found {matrix.tolist()}")
+    return PinholeCamera(width=width, height=height, fx=matrix[0, 0], fy=matrix[1, 1], cx=matrix[0, 2], cy=matrix[1, 2])
