@@ -1,0 +1,78 @@
+"""Located frames as cameras at their nearest poses, each with a wire frustum that renders."""
+
+from collections.abc import Sequence
+
+import bpy
+import numpy as np
+
+from .camera_conversion import CAMERA_OPENCV_FROM_BLENDER, blender_pose, set_intrinsics
+from .emission_material import colored_wire
+from .reconstruction_files import Intrinsics, LocatedFrame
+from .wire_curve import create_wire
+
+MARKER_COLOR_LINEAR = (0.9, 0.17, 0.0)
+CLIP_START_M = 0.01
+CLIP_END_M = 1000.0
+FRUSTUM_MARGIN = 1.08
+"""The frustum is this much wider than the view, so that the marker's own camera does not see it."""
+
+
+def create_markers(
+    located: Sequence[LocatedFrame], intrinsics: Intrinsics, *, size_m: float, radius_m: float
+) -> list[bpy.types.Object]:
+    """Return new camera objects, one for each located frame, and their frusta, which share one curve.
+
+    ``size_m`` is how far a frustum reaches, ``radius_m`` half the thickness of its lines. The cameras carry query,
+    nearest, score and, where the truth is known, the errors as custom properties.
+    """
+    if not located:
+        return []
+    material = colored_wire("Scanback marker", MARKER_COLOR_LINEAR)
+    frustum = _create_frustum(intrinsics, size_m=size_m, radius_m=radius_m, material=material)
+    markers = []
+    for frame in located:
+        camera = _create_camera(frame, intrinsics, size_m=size_m)
+        wire = bpy.data.objects.new(f"{camera.name} frustum", frustum)
+        wire.parent = camera
+        wire.hide_select = True  # a click on it is meant for the camera
+        markers += [camera, wire]
+    return markers
+
+
+def _create_camera(frame: LocatedFrame, intrinsics: Intrinsics, *, size_m: float) -> bpy.types.Object:
+    name = f"Query {frame.query} nearest {frame.nearest}"
+    data = bpy.data.cameras.new(name)
+    set_intrinsics(data, intrinsics)
+    data.clip_start = CLIP_START_M
+    data.clip_end = CLIP_END_M
+    data.display_size = size_m
+    camera = bpy.data.objects.new(name, data)
+    camera.matrix_world = blender_pose(frame.world_from_camera)
+    camera["query"] = frame.query
+    camera["nearest"] = frame.nearest
+    camera["score"] = frame.score
+    if frame.rotation_error_deg is not None:
+        camera["rotation_error_deg"] = frame.rotation_error_deg
+    if frame.translation_error_m is not None:
+        camera["translation_error_m"] = frame.translation_error_m
+    return camera
+
+
+def _create_frustum(
+    camera: Intrinsics, *, size_m: float, radius_m: float, material: bpy.types.Material
+) -> bpy.types.Curve:
+    """Return the curve of a view pyramid of depth ``size_m`` in the frame of a Blender camera."""
+    corners_px = np.array([(0, 0), (1, 0), (1, 1), (0, 1)]) * (camera.width, camera.height) - 0.5
+    rays = (corners_px - (camera.cx, camera.cy)) / (camera.fx, camera.fy) * FRUSTUM_MARGIN
+    corners_opencv = np.column_stack([rays, np.ones(4)]) * size_m
+    corners = corners_opencv @ CAMERA_OPENCV_FROM_BLENDER[:3, :3]
+    apex = np.zeros(3)
+    top = corners[:2] + (corners[:2] - corners[3:1:-1]) * 0.12
+    roof = np.stack([corners[0], top.mean(axis=0), corners[1]])
+    return create_wire(
+        "Scanback frustum",
+        [corners, *(np.stack([apex, corner]) for corner in corners), roof],
+        closed=[True, False, False, False, False, False],
+        radius_m=radius_m,
+        material=material,
+    )

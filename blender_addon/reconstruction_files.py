@@ -1,0 +1,147 @@
+"""A reconstruction folder: ``mesh.ply``, ``reconstruction.json`` and, where frames were located, ``poses.json``."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import ReconstructionError
+from .json_values import JsonValue, read_json
+from .ply_mesh import ColoredMesh, read_colored_mesh
+
+RECONSTRUCTION_FILE = "reconstruction.json"
+MESH_FILE = "mesh.ply"
+POSES_FILE = "poses.json"
+FORMAT = "scanback-reconstruction"
+VERSION = 1
+
+Pose = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Intrinsics:
+    """A pinhole camera in pixels, integer pixel centres: u = fx·x/z + cx (OpenCV)."""
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class FusedFrame:
+    """A frame of the dataset that is part of the reconstruction, with its 4×4 pose in OpenCV camera axes."""
+
+    frame: int
+    world_from_camera: Pose
+
+
+@dataclass(frozen=True, kw_only=True)
+class LocatedFrame:
+    """A frame that was located: ``nearest`` is the fused frame whose pose, ``world_from_camera``, explains it best.
+
+    ``score`` is the error of that pose; the errors against the truth are None where it is not known.
+    """
+
+    query: int
+    nearest: int
+    score: float
+    world_from_camera: Pose
+    rotation_error_deg: float | None
+    translation_error_m: float | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reconstruction:
+    """All that a reconstruction folder holds, as far as Blender shows it; lengths in metres, world frame."""
+
+    folder: Path
+    dataset: Path
+    intrinsics: Intrinsics
+    mesh: ColoredMesh
+    trajectory: tuple[FusedFrame, ...]
+    located: tuple[LocatedFrame, ...]
+
+    @property
+    def name(self) -> str:
+        """The folder's name."""
+        return self.folder.name
+
+    def diagonal_m(self) -> float:
+        """Return the diagonal of the box around mesh and camera path, the measure of all that is drawn."""
+        positions = [frame.world_from_camera[:3, 3] for frame in self.trajectory]
+        corners = [self.mesh.vertices_world.min(axis=0), self.mesh.vertices_world.max(axis=0), *positions]
+        return float(np.linalg.norm(np.ptp(np.stack(corners), axis=0)))
+
+
+def read_reconstruction(folder: Path) -> Reconstruction:
+    """Read and check a reconstruction folder; frames count as located where it holds ``poses.json``.
+
+    Raises ReconstructionError naming the file, the value found there and the remedy.
+    """
+    folder = folder.resolve()
+    if not folder.is_dir():
+        raise ReconstructionError(f"{folder}: no such folder; choose the one that 'fusion reconstruct' wrote")
+    file = folder / RECONSTRUCTION_FILE
+    if not file.is_file():
+        raise ReconstructionError(
+            f"{folder}: not a reconstruction: it holds no {RECONSTRUCTION_FILE}; "
+            "choose the folder that 'fusion reconstruct' wrote"
+        )
+    record = read_json(file, remedy="write it again with 'fusion reconstruct'")
+    _check_format(record)
+    return Reconstruction(
+        folder=folder,
+        dataset=folder / record.member("dataset").text(),
+        intrinsics=_intrinsics(record.member("camera")),
+        trajectory=tuple(_fused_frame(item) for item in record.member("trajectory").items()),
+        located=_read_located(folder / POSES_FILE),
+        mesh=read_colored_mesh(folder / MESH_FILE),
+    )
+
+
+def _check_format(record: JsonValue) -> None:
+    if record.member("format").value != FORMAT:
+        record.member("format").refuse(f"{FORMAT!r}")
+    version = record.member("version")
+    if version.integer(at_least=1) != VERSION:
+        raise ReconstructionError(
+            f"{version.file}: version: found {version.value}, this extension reads {VERSION}; "
+            "install the extension that came with the program that wrote it"
+        )
+
+
+def _intrinsics(camera: JsonValue) -> Intrinsics:
+    return Intrinsics(
+        width=camera.member("width").integer(at_least=1),
+        height=camera.member("height").integer(at_least=1),
+        fx=camera.member("fx").positive_number(),
+        fy=camera.member("fy").positive_number(),
+        cx=camera.member("cx").number(),
+        cy=camera.member("cy").number(),
+    )
+
+
+def _fused_frame(item: JsonValue) -> FusedFrame:
+    return FusedFrame(frame=item.member("frame").integer(), world_from_camera=item.member("world_from_camera").pose())
+
+
+def _read_located(file: Path) -> tuple[LocatedFrame, ...]:
+    if not file.exists():
+        return ()
+    poses = read_json(file, remedy="write it again with 'fusion locate', or delete it")
+    return tuple(_located_frame(item) for item in poses.items())
+
+
+def _located_frame(item: JsonValue) -> LocatedFrame:
+    return LocatedFrame(
+        query=item.member("query").integer(),
+        nearest=item.member("nearest").integer(),
+        score=item.member("score").number(),
+        world_from_camera=item.member("world_from_camera").pose(),
+        rotation_error_deg=item.optional_number("rotation_error_deg"),
+        translation_error_m=item.optional_number("translation_error_m"),
+    )

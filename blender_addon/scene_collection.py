@@ -1,0 +1,73 @@
+"""The collection that holds a reconstruction in a scene, and what of it is ours to replace."""
+
+import os
+from collections.abc import Iterable
+from pathlib import Path
+
+import bpy
+
+FOLDER_KEY = "scanback_folder"
+"""Custom property of a reconstruction's collection: its folder. Names may be changed by the user, this stays."""
+PART_KEY = "scanback_part"
+"""Custom property of all that we put into such a collection: what it is."""
+MESH_PART, PATH_PART, MARKER_PART = "mesh", "path", "marker"
+
+
+def empty_collection(scene: bpy.types.Scene, folder: Path) -> bpy.types.Collection:
+    """Return the collection of the reconstruction ``folder`` in ``scene``, new or emptied of what we put there.
+
+    An existing one keeps its place, its name and what the user added to it.
+    """
+    collection = find_collection(scene, folder)
+    if collection is None:
+        name = os.fsencode(folder.name).decode("utf-8", "replace")
+        collection = bpy.data.collections.new(f"Scanback {name}")
+        collection[FOLDER_KEY] = str(folder)
+    if collection != scene.collection and collection not in scene.collection.children_recursive:
+        scene.collection.children.link(collection)
+    _remove_parts(collection)
+    return collection
+
+
+def find_collection(scene: bpy.types.Scene, folder: Path) -> bpy.types.Collection | None:
+    """Return the collection of the reconstruction ``folder`` that ``scene`` or nothing uses, None without one."""
+    in_scene = scene.collection.children_recursive
+    for collection in bpy.data.collections:
+        is_free = collection in in_scene or collection.users == 0
+        if is_free and collection.library is None and _folder_of(collection) == folder:
+            return collection
+    return None
+
+
+def add_part(
+    collection: bpy.types.Collection, part: str, objects: Iterable[bpy.types.Object], *, into: str | None = None
+) -> None:
+    """Put ``objects`` into ``collection``, or into its sub-collection ``into``, marked as ours."""
+    target = collection
+    if into is not None:
+        target = bpy.data.collections.new(into)
+        target[PART_KEY] = part
+        collection.children.link(target)
+    for item in objects:
+        item[PART_KEY] = part
+        target.objects.link(item)
+
+
+def _folder_of(collection: bpy.types.Collection) -> Path | None:
+    folder = collection.get(FOLDER_KEY)
+    return Path(bpy.path.abspath(folder)).resolve() if isinstance(folder, str) else None
+
+
+def _remove_parts(collection: bpy.types.Collection) -> None:
+    """Remove our objects and sub-collections, and the data that nothing uses after that."""
+    ours = [item for item in collection.all_objects if PART_KEY in item]
+    data = {item.data for item in ours if item.data is not None}
+    materials = {slot.material for item in ours for slot in item.material_slots if slot.material is not None}
+    bpy.data.batch_remove(ours)
+    for unused in (data, materials):  # in this order: the data uses the materials
+        bpy.data.batch_remove([block for block in unused if block.users == 0])
+    for child in [child for child in collection.children_recursive if PART_KEY in child]:
+        for item in child.objects:  # what the user put there stays
+            if item.name not in collection.objects:
+                collection.objects.link(item)
+        bpy.data.collections.remove(child)
