@@ -8,6 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from datagen.atomic_write import write_json
 from datagen.camera import PinholeCamera
 from datagen.errors import InputError
+from datagen.validation import describe_validation_error
 
 METADATA_FILE = "dataset.json"
 FRAMES_FOLDER = "frames"
@@ -78,24 +79,9 @@ def read_metadata(folder: Path) -> Metadata:
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
     except ValidationError as error:
-        raise InputError(describe_validation_error(path, error)) from error
+        raise InputError(describe_validation_error(path, error, Metadata)) from error
 
 
 def write_metadata(folder: Path, metadata: Metadata) -> None:
     """Write ``dataset.json`` atomically."""
     write_json(folder / METADATA_FILE, metadata.model_dump(mode="json"))
-
-
-def describe_validation_error(path: Path, error: ValidationError) -> str:
-    """Return one line for each fault that pydantic found: file, key, what was expected, what stood there."""
-    lines = []
-    for fault in error.errors():
-        key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in fault["loc"]).lstrip(".")
-        if fault["type"] == "extra_forbidden":
-            lines.append(f"{path}: {key}: unknown key; check its spelling against the documented ones")
-        elif fault["type"] == "missing":
-            lines.append(f"{path}: {key}: missing")
-        else:
-            found = "" if isinstance(fault["input"], dict) else f", found {fault['input']!r}"
-            lines.append(f"{path}: {key or 'file'}: {fault['msg'].removeprefix('Value error, ')}{found}")
-    return "\n".join(lines)
