@@ -1,0 +1,188 @@
+"""The ``fusion`` command: reconstruct, locate, evaluate."""
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from datagen.dataset import open_dataset
+from datagen.errors import InputError
+from datagen.frame_selection import select_frames
+from datagen.progress import on_terminal
+from fusion.devices import resolve_device
+from fusion.evaluate import evaluate
+from fusion.locate import locate
+from fusion.mesh import read_mesh
+from fusion.reconstruct import reconstruct
+from fusion.reconstruction_config import ReconstructionConfig
+from fusion.reconstruction_files import RECORD_FILE, LocatedPose, ReconstructionRecord, poses_as_json, read_record
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command; returns its exit code: 0, 2 for input that cannot be used, 130 where interrupted."""
+    options = _parser().parse_args(arguments)
+    try:
+        options.run(options)
+    except InputError as error:
+        print(f"fusion: error: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("fusion: interrupted; nothing was written", file=sys.stderr)
+        return 130
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="fusion", description="Fuse posed RGB-D frames and locate new ones.")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+
+    command = commands.add_parser("reconstruct", help="fuse a dataset into a coloured mesh")
+    command.add_argument("dataset", type=Path, help="a Scanback dataset or a 7-Scenes sequence")
+    command.add_argument("out", type=Path, help="the folder to write")
+    command.add_argument("--voxel-size", type=float, metavar="M", help="metres; from the data if not given")
+    command.add_argument("--truncation", type=float, metavar="M", help="metres; 4 voxels if not given")
+    command.add_argument("--depth-max", type=float, metavar="M", help="take farther depths as invalid")
+    _add_shared(command)
+    command.set_defaults(run=_reconstruct)
+
+    command = commands.add_parser("locate", help="find the nearest fused pose of each frame")
+    command.add_argument("reconstruction", type=Path, help="a folder that fusion reconstruct wrote")
+    command.add_argument("dataset", type=Path, help="where the query frames are")
+    _add_shared(command)
+    command.set_defaults(run=_locate)
+
+    command = commands.add_parser("evaluate", help="measure a mesh against the truth")
+    command.add_argument("mesh", type=Path)
+    command.add_argument("ground_truth", type=Path, help="a mesh, or a dataset that has one")
+    command.add_argument("--observed-by", type=Path, metavar="DATASET", help="cull the truth to what its frames saw")
+    command.add_argument("--threshold", type=float, action="append", metavar="M", help="of the F-score; repeatable")
+    command.add_argument("--voxel-size", type=float, metavar="M", help="to give lengths in voxels too")
+    _add_shared(command)
+    command.set_defaults(run=_evaluate)
+    return parser
+
+
+def _add_shared(command: argparse.ArgumentParser) -> None:
+    command.add_argument("--frames", metavar="START:STOP:STEP", help="which frames, as a Python slice over them")
+    command.add_argument("--device", default="auto", metavar="auto|cpu|cuda[:N]")
+    command.add_argument("--json", action="store_true", help="print the result as JSON, and nothing else")
+
+
+def _reconstruct(options: argparse.Namespace) -> None:
+    config = ReconstructionConfig(
+        voxel_size=options.voxel_size,
+        truncation=options.truncation,
+        depth_max=options.depth_max,
+        frames=options.frames,
+        device=options.device,
+    )
+    dataset = open_dataset(options.dataset)
+    with on_terminal() as progress:
+        result = reconstruct(dataset, options.out, config, progress=progress)
+    if options.json:
+        _print_json(result.record.model_dump(mode="json"))
+    else:
+        _print_record(result.record, config, options.out)
+
+
+def _locate(options: argparse.Namespace) -> None:
+    dataset = open_dataset(options.dataset)
+    with on_terminal() as progress:
+        poses = locate(options.reconstruction, dataset, frames=options.frames, device=options.device, progress=progress)
+    if options.json:
+        _print_json(poses_as_json(poses))
+    else:
+        _print_poses(poses)
+
+
+def _evaluate(options: argparse.Namespace) -> None:
+    mesh = read_mesh(options.mesh)
+    voxel_size, frames = options.voxel_size, options.frames
+    fused: tuple[int, ...] | None = None
+    if (options.mesh.parent / RECORD_FILE).is_file():
+        # A reconstruction knows its voxel size and the frames that observed it.
+        record = read_record(options.mesh.parent)
+        voxel_size = voxel_size or record.voxel_size_m
+        fused = tuple(frame.frame for frame in record.trajectory)
+    is_dataset = options.ground_truth.is_dir()
+    observer = options.observed_by or (options.ground_truth if is_dataset else None)
+    dataset = open_dataset(observer) if observer else None
+    truth_path = options.ground_truth
+    if is_dataset:
+        truth_path = open_dataset(options.ground_truth).ground_truth_mesh
+        if truth_path is None:
+            raise InputError(f"{options.ground_truth}: this dataset has no ground-truth mesh; name a mesh file")
+    thresholds = options.threshold or ([voxel_size / 2, voxel_size] if voxel_size else None)
+    if thresholds is None:
+        raise InputError(f"{options.mesh}: its voxel size is not known; give --voxel-size or --threshold")
+    if min(thresholds) <= 0:
+        raise InputError(f"--threshold {min(thresholds):g}: expected a positive number of metres")
+    observed_by = None
+    if dataset is not None:
+        known = fused if frames is None and fused and set(fused) <= set(dataset.frame_ids) else None
+        observed_by = (dataset, known or select_frames(dataset.frame_ids, frames))
+    with on_terminal() as progress:
+        metrics = evaluate(
+            mesh,
+            read_mesh(truth_path),
+            thresholds=thresholds,
+            device=resolve_device(options.device),
+            observed_by=observed_by,
+            voxel_size=voxel_size,
+            progress=progress,
+        )
+    if options.json:
+        _print_json(metrics)
+    else:
+        _print_metrics(metrics)
+
+
+def _print_json(value: Any) -> None:
+    print(json.dumps(value, indent=2, allow_nan=False))
+
+
+def _print_record(record: ReconstructionRecord, config: ReconstructionConfig, folder: Path) -> None:
+    voxel_origin = "" if config.voxel_size else " (from the data)"
+    truncation_origin = "" if config.truncation else " (4 voxels)"
+    size = [high - low for low, high in zip(*record.bounds_m, strict=True)]
+    lines = {
+        "voxel size": f"{record.voxel_size_m:g} m{voxel_origin}",
+        "truncation": f"{record.truncation_m:g} m{truncation_origin}",
+        "bounds": " × ".join(f"{side:.2f}" for side in size) + f" m, {record.blocks:,} blocks",
+        "fused": f"{record.frames} frames on {record.device} at {record.frames_per_second:.0f} frames/s",
+        "seconds": ", ".join(f"{name} {seconds:.2f}" for name, seconds in record.seconds),
+        "mesh": f"{record.vertices:,} vertices, {record.triangles:,} triangles",
+        "peak memory": f"{record.peak_memory_mb:.0f} MiB",
+        "written": str(folder),
+    }
+    table = Table.grid(padding=(0, 2))
+    for name, text in lines.items():
+        table.add_row(name, text)
+    Console().print(table)
+    if record.metrics is not None:
+        _print_metrics(record.metrics)
+
+
+def _print_metrics(metrics: dict[str, Any]) -> None:
+    table = Table.grid(padding=(0, 2))
+    for name in ("accuracy", "completeness", "chamfer"):
+        voxels = f" ({metrics[f'{name}_voxels']:.3f} voxels)" if f"{name}_voxels" in metrics else ""
+        table.add_row(name, f"{1000 * metrics[f'{name}_m']:.4f} mm{voxels}")
+    for entry in metrics["fscores"]:
+        table.add_row(f"F-score at {1000 * entry['threshold_m']:.3g} mm", f"{100 * entry['fscore']:.2f} %")
+    table.add_row("normal consistency", f"{metrics['normal_consistency']:.4f}")
+    Console().print(table)
+
+
+def _print_poses(poses: list[LocatedPose]) -> None:
+    table = Table("query", "nearest", "score (mm²)", "rotation error (°)", "translation error (m)", box=None)
+    for pose in poses:
+        rotation = "–" if pose.rotation_error_deg is None else f"{pose.rotation_error_deg:.2f}"
+        translation = "–" if pose.translation_error_m is None else f"{pose.translation_error_m:.4f}"
+        table.add_row(str(pose.query), str(pose.nearest), f"{1e6 * pose.score:.3f}", rotation, translation)
+    Console().print(table)

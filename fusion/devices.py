@@ -1,0 +1,78 @@
+"""Where kernels run: the CPU, on all of its cores, or a CUDA device."""
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from typing import Any, TypeAlias
+
+import psutil
+import warp as wp
+
+from datagen.errors import InputError
+from datagen.progress import ProgressReporter, silent
+
+Device: TypeAlias = Any
+"""A Warp device; Warp's own class is not typed."""
+
+
+def resolve_device(name: str) -> Device:
+    """Return the Warp device of ``auto``, ``cpu``, ``cuda`` or ``cuda:N``; auto takes CUDA where there is any.
+
+    Raises InputError where the named device is not there: nothing ever falls back silently.
+    """
+    wp.config.log_level = wp.LOG_ERROR  # its banner would land on standard output
+    wp.init()
+    cuda = [str(device.alias) for device in wp.get_cuda_devices()]
+    if name == "auto":
+        return wp.get_device(cuda[0] if cuda else "cpu")
+    alias = "cuda:0" if name == "cuda" else name
+    if alias != "cpu" and alias not in cuda:
+        raise InputError(f"--device {name}: not on this machine; there is {', '.join(['cpu', *cuda])}")
+    return wp.get_device(alias)
+
+
+def free_memory(device: Device) -> int:
+    """Return the bytes that can still be allocated on a device."""
+    return int(device.free_memory) if device.is_cuda else int(psutil.virtual_memory().available)
+
+
+def load_kernels(modules: Sequence[str], *, device: Device, progress: ProgressReporter = silent) -> None:
+    """Compile kernel modules, or load them from the user's cache: the first time takes seconds, and is not timed."""
+    advance = progress("kernels", len(modules))
+    for module in modules:
+        wp.load_module(module, device=device)
+        advance()
+
+
+def launch_in_slabs(kernel: Any, *, dim: int, inputs: list[Any], outputs: list[Any], device: Device) -> None:
+    """Launch ``kernel`` over [0, dim); on the CPU in slabs on all cores.
+
+    The kernel's first parameter is the index at which its slab begins, to be added to ``wp.tid()``. Its threads must
+    not write to the same place: Warp's atomics are not atomic across CPU launches.
+    """
+    if dim == 0:
+        return
+    if device.is_cuda:
+        wp.launch(kernel, dim=dim, inputs=[0, *inputs], outputs=outputs, device=device)
+        return
+    # Loaded before the pool begins, or each thread would compile it.
+    wp.load_module(kernel.module, device=device)
+    threads = _core_count()
+    # Several slabs a core, so that a core which is done early takes over work.
+    slab = max(-(-dim // (8 * threads)), 1)
+
+    def run(first: int) -> None:
+        size = min(slab, dim - first)
+        wp.launch(kernel, dim=size, inputs=[first, *inputs], outputs=outputs, device=device)
+
+    list(_pool().map(run, range(0, dim, slab)))
+
+
+def _core_count() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@cache
+def _pool() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(_core_count(), thread_name_prefix="warp-slab")

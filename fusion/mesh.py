@@ -1,0 +1,54 @@
+"""Triangle meshes with vertex colours."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from datagen.atomic_write import write_bytes
+from datagen.errors import InputError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mesh:
+    """A triangle mesh in the world frame.
+
+    ``vertices`` (n, 3) float32 metres; ``triangles`` (m, 3) int32, counter-clockwise seen from outside; ``colors``
+    (n, 3) uint8 RGB, sRGB-encoded as in the images, or None.
+    """
+
+    vertices: NDArray[np.float32]
+    triangles: NDArray[np.int32]
+    colors: NDArray[np.uint8] | None = None
+
+
+def write_ply(path: Path, mesh: Mesh) -> None:
+    """Write a mesh atomically as binary PLY."""
+    exported = trimesh.Trimesh(mesh.vertices, mesh.triangles, vertex_colors=mesh.colors, process=False)
+    write_bytes(path, exported.export(file_type="ply"))
+
+
+def read_mesh(path: Path) -> Mesh:
+    """Read a triangle mesh of any format that trimesh knows; several objects in one file become one mesh.
+
+    Raises InputError where the file is missing, damaged, or holds no triangles.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; expected a triangle mesh")
+    try:
+        loaded: Any = trimesh.load(path, process=False)
+    except Exception as error:  # trimesh's loaders raise whatever their parsing stumbles on
+        raise InputError(f"{path}: cannot be read as a mesh ({type(error).__name__}: {error})") from error
+    if isinstance(loaded, trimesh.Scene):
+        loaded = loaded.to_geometry() if loaded.geometry else None
+    if not isinstance(loaded, trimesh.Trimesh) or len(loaded.faces) == 0:
+        raise InputError(f"{path}: holds no triangles; expected a triangle mesh, not a point cloud")
+    colors = loaded.visual.vertex_colors[:, :3] if loaded.visual.kind == "vertex" else None
+    return Mesh(
+        vertices=np.asarray(loaded.vertices, dtype=np.float32),
+        triangles=np.asarray(loaded.faces, dtype=np.int32),
+        colors=None if colors is None else np.asarray(colors, dtype=np.uint8),
+    )

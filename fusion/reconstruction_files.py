@@ -1,0 +1,140 @@
+"""The reconstruction on disk: a folder of mesh.ply, volume.npz, reconstruction.json, and poses.json once located."""
+
+import os
+import platform
+import sys
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any, Literal
+
+import psutil
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from datagen.atomic_write import write_json
+from datagen.dataset_format import Intrinsics, describe_validation_error
+from datagen.errors import InputError
+
+RECORD_FILE = "reconstruction.json"
+MESH_FILE = "mesh.ply"
+VOLUME_FILE = "volume.npz"
+POSES_FILE = "poses.json"
+
+Rows = list[list[float]]
+
+
+class _Record(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Seconds(_Record):
+    """Wall time by stage: ``decode`` reading images, ``integrate`` finding blocks and fusing, ``mesh``, ``total``."""
+
+    decode: float
+    integrate: float
+    mesh: float
+    total: float
+
+
+class FusedFrame(_Record):
+    """A frame that was fused, with its 4×4 pose as rows."""
+
+    frame: int
+    world_from_camera: Rows
+
+
+class ReconstructionRecord(_Record):
+    """The contents of ``reconstruction.json``.
+
+    ``dataset`` is the dataset's folder relative to the reconstruction's. ``frames`` counts the fused frames, which
+    ``trajectory`` lists; ``frames_per_second`` is integration alone. ``bounds_m`` are the corners of the union of the
+    frusta cut at the observed depth, world frame. ``metrics`` compares the mesh with the ground truth, where there is
+    one.
+    """
+
+    format: Literal["scanback-reconstruction"] = "scanback-reconstruction"
+    version: Literal[1] = 1
+    dataset: str
+    frames: int = Field(ge=1)
+    voxel_size_m: float = Field(gt=0)
+    truncation_m: float = Field(gt=0)
+    bounds_m: tuple[list[float], list[float]]
+    blocks: int
+    device: str
+    seconds: Seconds
+    frames_per_second: float
+    vertices: int
+    triangles: int
+    peak_memory_mb: float
+    metrics: dict[str, Any] | None
+    camera: Intrinsics
+    trajectory: list[FusedFrame]
+    config: dict[str, Any]
+    versions: dict[str, str]
+
+
+class LocatedPose(_Record):
+    """One entry of ``poses.json``.
+
+    ``query`` and ``nearest`` are frame numbers; ``score`` the mean squared truncated distance (m²) of the query's
+    surface points in the volume at ``world_from_camera``, the pose of ``nearest``. Errors are against the query's true
+    pose.
+    """
+
+    query: int
+    nearest: int
+    score: float
+    world_from_camera: Rows
+    rotation_error_deg: float | None = None
+    translation_error_m: float | None = None
+
+
+def write_record(folder: Path, record: ReconstructionRecord) -> None:
+    """Write ``reconstruction.json`` atomically."""
+    write_json(folder / RECORD_FILE, record.model_dump(mode="json"))
+
+
+def read_record(folder: Path) -> ReconstructionRecord:
+    """Read ``reconstruction.json``; raises InputError naming the key at fault."""
+    path = folder / RECORD_FILE
+    try:
+        return ReconstructionRecord.model_validate_json(path.read_bytes())
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be read ({error.strerror}); name a folder that fusion reconstruct wrote"
+        ) from error
+    except ValidationError as error:
+        raise InputError(describe_validation_error(path, error)) from error
+
+
+def poses_as_json(poses: list[LocatedPose]) -> list[dict[str, Any]]:
+    """Return poses as they stand in ``poses.json``; errors are left out where the truth is not known."""
+    return [pose.model_dump(mode="json", exclude_none=True) for pose in poses]
+
+
+def relative_to(folder: Path, target: Path) -> str:
+    """Return ``target`` relative to ``folder``, absolute where they are on different drives."""
+    try:
+        return os.path.relpath(target.resolve(), folder.resolve())
+    except ValueError:
+        return str(target.resolve())
+
+
+def installed_versions() -> dict[str, str]:
+    """Return the versions of what a reconstruction was made with."""
+    found = {"python": platform.python_version()}
+    for name in ("scanback", "numpy", "warp-lang", "opencv-python-headless", "trimesh"):
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "not installed"
+    return found
+
+
+def peak_memory_mb() -> float:
+    """Return the most memory that this process has held, in MiB."""
+    if sys.platform == "win32":
+        return float(psutil.Process().memory_info().peak_wset) / 2**20
+    import resource  # noqa: PLC0415 - not on Windows
+
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / (2**20 if sys.platform == "darwin" else 2**10)

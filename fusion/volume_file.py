@@ -1,0 +1,70 @@
+"""Volumes on disk: a zip of plain arrays (NumPy's .npz, read without pickle).
+
+Version 1 holds ``version`` (), ``voxel_size`` () and ``truncation`` () in metres, ``blocks`` (n, 3) int32, and for the
+512 n voxels, in the order that ``Volume`` describes, ``distance_sum``, ``weight``, ``color_weight`` (512 n) and
+``color_sum`` (512 n, 3), all float32. The zip's checksums tell a damaged file.
+"""
+
+import zipfile
+import zlib
+from pathlib import Path
+
+import numpy as np
+import warp as wp
+
+from datagen.atomic_write import replacing
+from datagen.errors import InputError
+from fusion.block_table import BLOCK_VOXELS
+from fusion.devices import Device
+from fusion.volume import Volume
+
+VERSION = 1
+_SUMS = ("distance_sum", "weight", "color_sum", "color_weight")
+
+
+def save_volume(path: Path, volume: Volume) -> None:
+    """Write a volume atomically."""
+    count = volume.table.count
+    arrays = {name: getattr(volume, name).numpy()[: count * BLOCK_VOXELS] for name in _SUMS}
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        np.savez(
+            file,
+            version=VERSION,
+            voxel_size=volume.voxel_size,
+            truncation=volume.truncation,
+            blocks=volume.table.blocks.numpy()[:count],
+            **arrays,
+        )
+
+
+def load_volume(path: Path, *, device: Device) -> Volume:
+    """Read a volume; raises InputError where the file is missing, damaged, or of another version."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        version = int(arrays["version"])
+        if version != VERSION:
+            raise InputError(f"{path}: a volume of version {version}, expected {VERSION}; reconstruct it again")
+        blocks = arrays["blocks"].astype(np.int32).reshape(-1, 3)
+        volume = Volume(
+            voxel_size=float(arrays["voxel_size"]),
+            truncation=float(arrays["truncation"]),
+            device=device,
+            max_blocks=len(blocks),
+        )
+        sums = {
+            name: arrays[name].astype(np.float32).reshape(len(blocks) * BLOCK_VOXELS, *arrays[name].shape[1:])
+            for name in _SUMS
+        }
+    except FileNotFoundError:
+        raise InputError(f"{path}: the file is missing; reconstruct it again") from None
+    except (OSError, KeyError, ValueError, zipfile.BadZipFile, zlib.error) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{path}: damaged, or not a volume ({error}); reconstruct it again") from error
+    volume.table.adopt(blocks)
+    volume.reserve(len(blocks))
+    for name, values in sums.items():
+        array = getattr(volume, name)
+        wp.copy(array, wp.array(values, dtype=array.dtype, device=device))
+    return volume
