@@ -20,6 +20,7 @@ def create_wire(
     curve.dimensions = "3D"
     curve.bevel_depth = radius_m
     curve.bevel_resolution = 1
+    curve.use_fill_caps = True
     for index, points in enumerate(polylines):
         spline = curve.splines.new("POLY")
         spline.points.add(len(points) - 1)

@@ -44,7 +44,8 @@ def choose_original(reconstruction: Reconstruction) -> Original:
     by_score = sorted(reconstruction.located, key=lambda located: located.score)
     located = [frame.query for frame in by_score if dataset.is_complete(frame.query)]
     if located:
-        return _original(dataset, located[0], f"frame {located[0]}, held out of the fusion")
+        is_fused = any(fused.frame == located[0] for fused in reconstruction.trajectory)
+        return _original(dataset, located[0], f"frame {located[0]}" + ("" if is_fused else ", held out of the fusion"))
     if not reconstruction.trajectory:
         raise InputError(f"{reconstruction.folder}: holds neither fused nor located frames to compare with")
     frame = reconstruction.trajectory[0].frame

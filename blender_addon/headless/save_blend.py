@@ -16,6 +16,7 @@ def save_blend(path: Path) -> None:
     """
     path = path.resolve()
     _make_folders_relative(path.parent)
+    _show_colors()
     bpy.context.preferences.filepaths.save_version = 0  # else Blender keeps the empty temporary file as a backup
     with replacing(path) as temporary:
         try:
@@ -29,3 +30,12 @@ def _make_folders_relative(start: Path) -> None:
         if FOLDER_KEY in collection:
             folder = bpy.path.abspath(collection[FOLDER_KEY])
             collection[FOLDER_KEY] = bpy.path.relpath(folder, start=str(start))
+
+
+def _show_colors() -> None:
+    """Let viewports open in Material Preview, looking through the scene's camera: Solid view shows no scan colours."""
+    for screen in bpy.data.screens:
+        for area in screen.areas:
+            if area.type == "VIEW_3D":
+                area.spaces.active.shading.type = "MATERIAL"
+                area.spaces.active.region_3d.view_perspective = "CAMERA"
