@@ -43,6 +43,17 @@ class PinholeCamera:
         """
         return cls(width=width, height=height, fx=fx, fy=fy, cx=cx - 0.5, cy=cy - 0.5)
 
+    def subsampled(self, step: int) -> "PinholeCamera":
+        """Return the camera of ``image[::step, ::step]``."""
+        return PinholeCamera(
+            width=-(-self.width // step),
+            height=-(-self.height // step),
+            fx=self.fx / step,
+            fy=self.fy / step,
+            cx=self.cx / step,
+            cy=self.cy / step,
+        )
+
     def project(self, points_camera: NDArray[np.floating]) -> NDArray[np.float64]:
         """Return pixel coordinates (…, 2) of points (…, 3) in the camera frame; meaningful where z > 0."""
         x, y, z = np.moveaxis(np.asarray(points_camera, dtype=np.float64), -1, 0)

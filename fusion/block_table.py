@@ -60,19 +60,17 @@ def insert_key(keys: wp.array(dtype=wp.int64), key: wp.int64, key_count: wp.arra
     """Return the slot that holds ``key``, claiming an empty one if need be; −1 where the table is half full."""
     capacity = keys.shape[0]
     slot = first_slot(key, capacity)
-    while True:
-        held = keys[slot]
-        if held == _EMPTY:
+    while keys[slot] != key:
+        if keys[slot] == _EMPTY:
             if key_count[0] >= capacity / 2:
                 return -1
             held = wp.atomic_cas(keys, slot, _EMPTY, key)
             if held == _EMPTY:
                 wp.atomic_add(key_count, 0, 1)
+            if held == _EMPTY or held == key:
                 return slot
-        if held == key:
-            return slot
         slot = (slot + 1) & (capacity - 1)
-    return -1
+    return slot
 
 
 @wp.func
@@ -81,14 +79,11 @@ def find_block(keys: wp.array(dtype=wp.int64), numbers: wp.array(dtype=int), blo
     key = block_key(block)
     capacity = keys.shape[0]
     slot = first_slot(key, capacity)
-    while True:
-        held = keys[slot]
-        if held == key:
-            return numbers[slot]
-        if held == _EMPTY:
+    while keys[slot] != key:
+        if keys[slot] == _EMPTY:
             return -1
         slot = (slot + 1) & (capacity - 1)
-    return -1
+    return numbers[slot]
 
 
 @wp.kernel

@@ -11,7 +11,8 @@ from datagen.frame_selection import select_frames
 from datagen.progress import ProgressReporter, silent
 from datagen.rigid import Matrix, inverse, rigid, rotation_angle_deg
 from fusion.devices import load_kernels, resolve_device
-from fusion.nearest_pose import find_nearest_pose
+from fusion.marching_cubes import marching_cubes
+from fusion.nearest_pose import find_nearest_pose, view_surface
 from fusion.reconstruction_files import (
     POSES_FILE,
     RECORD_FILE,
@@ -23,7 +24,7 @@ from fusion.reconstruction_files import (
 )
 from fusion.volume_file import load_volume
 
-KERNEL_MODULES = ("fusion.block_table", "fusion.nearest_pose")
+KERNEL_MODULES = ("fusion.block_table", "fusion.marching_cubes", "fusion.nearest_pose")
 
 
 def locate(
@@ -50,13 +51,14 @@ def locate(
         for frame in record.trajectory
     ]
     depth_max = record.config.get("depth_max") or np.inf
+    views = view_surface(marching_cubes(volume), candidates, dataset.camera, device=target)
     located = []
     advance = progress("locate", len(queries))
     for query in queries:
         depth = dataset.depth(query)
         depth[depth > depth_max] = 0
         try:
-            nearest = find_nearest_pose(volume, dataset.camera, depth, candidates)
+            nearest = find_nearest_pose(views, depth)
         except InputError as error:
             raise InputError(f"{dataset.folder}: frame {query}: {error}") from error
         pose = candidates[nearest.index]

@@ -11,8 +11,9 @@ import psutil
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from datagen.atomic_write import write_json
-from datagen.dataset_format import Intrinsics, describe_validation_error
+from datagen.dataset_format import Intrinsics
 from datagen.errors import InputError
+from datagen.validation import describe_validation_error
 
 RECORD_FILE = "reconstruction.json"
 MESH_FILE = "mesh.ply"
@@ -75,8 +76,8 @@ class ReconstructionRecord(_Record):
 class LocatedPose(_Record):
     """One entry of ``poses.json``.
 
-    ``query`` and ``nearest`` are frame numbers; ``score`` the mean squared truncated distance (m²) of the query's
-    surface points in the volume at ``world_from_camera``, the pose of ``nearest``. Errors are against the query's true
+    ``query`` and ``nearest`` are frame numbers; ``score`` (m²) is the mean squared difference between the query's depth
+    and that of the model seen from ``world_from_camera``, the pose of ``nearest``. Errors are against the query's true
     pose.
     """
 
@@ -103,7 +104,7 @@ def read_record(folder: Path) -> ReconstructionRecord:
             f"{path}: cannot be read ({error.strerror}); name a folder that fusion reconstruct wrote"
         ) from error
     except ValidationError as error:
-        raise InputError(describe_validation_error(path, error)) from error
+        raise InputError(describe_validation_error(path, error, ReconstructionRecord)) from error
 
 
 def poses_as_json(poses: list[LocatedPose]) -> list[dict[str, Any]]:
