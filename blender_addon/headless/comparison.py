@@ -7,8 +7,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from blender_addon.headless.overview_camera import overview_direction
 from blender_addon.reconstruction_files import Reconstruction
-from datagen.dataset import Dataset, open_dataset
+from datagen.dataset import open_dataset
 from datagen.errors import InputError
 from datagen.images import write_color
 from datagen.rigid import Matrix
@@ -23,14 +24,13 @@ CAPTION_WIDTH_PX = 480
 class Original:
     """The frame to compare with: its colour (height, width, 3) uint8 RGB, its pose, and what to write below it."""
 
-    frame: int
     caption: str
     color: NDArray[np.uint8]
     world_from_camera: Matrix
 
 
 def choose_original(reconstruction: Reconstruction) -> Original:
-    """Return the located frame with the least score, or, where none was located, the first fused frame.
+    """Return a located frame or, where none was located, a fused one: that which looks most as the overview does.
 
     Raises InputError where the dataset is not there or its images are not the reconstruction's.
     """
@@ -41,23 +41,18 @@ def choose_original(reconstruction: Reconstruction) -> Original:
             f"{dataset.folder}: its images are {dataset.camera.width}×{dataset.camera.height}, "
             f"the reconstruction was made from {camera.width}×{camera.height}; name its own dataset"
         )
-    by_score = sorted(reconstruction.located, key=lambda located: located.score)
-    located = [frame.query for frame in by_score if dataset.is_complete(frame.query)]
-    if located:
-        is_fused = any(fused.frame == located[0] for fused in reconstruction.trajectory)
-        return _original(dataset, located[0], f"frame {located[0]}" + ("" if is_fused else ", held out of the fusion"))
-    if not reconstruction.trajectory:
+    fused = {frame.frame: frame.world_from_camera for frame in reconstruction.trajectory}
+    queries = {located.query for located in reconstruction.located} & set(dataset.frame_ids)
+    located = {query: dataset.world_from_camera(query) for query in sorted(queries) if dataset.is_complete(query)}
+    if not fused and not located:
         raise InputError(f"{reconstruction.folder}: holds neither fused nor located frames to compare with")
-    frame = reconstruction.trajectory[0].frame
-    return _original(dataset, frame, f"frame {frame}")
-
-
-def _original(dataset: Dataset, frame: int, caption: str) -> Original:
+    direction = overview_direction(list(fused.values()))
+    candidates = located or fused
+    frame = max(candidates, key=lambda candidate: float(candidates[candidate][:3, 2] @ direction))
     return Original(
-        frame=frame,
-        caption=caption,
+        caption=f"frame {frame}" + ("" if frame in fused else ", held out of the fusion"),
         color=dataset.color(frame),
-        world_from_camera=dataset.world_from_camera(frame),
+        world_from_camera=candidates[frame],
     )
 
 

@@ -18,6 +18,8 @@ DESCENT = 0.5
 """How steeply the view goes down: the tangent of the angle."""
 MARGIN = 0.92
 """Part of the picture that may be filled."""
+STRAY_PERCENT = 1.0
+"""Of a mesh's vertices, that may lie out of view on each side: depth errors leave specks far from all else."""
 
 
 class FieldOfView(NamedTuple):
@@ -34,15 +36,26 @@ def overview_pose(
 
     ``cameras`` are the world_from_camera of the scan: from behind them where they look one way, else from the front.
     """
+    pose = look_at((0, 0, 0), overview_direction(cameras), up=_up(cameras))
+    pose[:3, 3] = _position(points_world, pose[:3, :3], field_of_view)
+    return pose
+
+
+def overview_direction(cameras: Sequence[Matrix]) -> NDArray[np.float64]:
+    """Return the unit direction, world frame, in which the overview of a scan by ``cameras`` looks."""
     up = _up(cameras)
     look = np.mean([pose[:3, 2] for pose in cameras], axis=0) if cameras else np.zeros(3)
     look -= up * (look @ up)
     if np.linalg.norm(look) < STEADY_LOOK:
         look = np.asarray(FRONT) - up * (np.asarray(FRONT) @ up)
-    look = look / np.linalg.norm(look) - DESCENT * up
-    pose = look_at((0, 0, 0), look, up=up)
-    pose[:3, 3] = _position(points_world, pose[:3, :3], field_of_view)
-    return pose
+    direction = look / np.linalg.norm(look) - DESCENT * up
+    return direction / np.linalg.norm(direction)
+
+
+def without_strays(points_world: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Return ``points_world`` (N, 3) without the outermost ``STRAY_PERCENT`` on each side of each axis."""
+    low, high = np.percentile(points_world, [STRAY_PERCENT, 100 - STRAY_PERCENT], axis=0)
+    return points_world[((points_world >= low) & (points_world <= high)).all(axis=1)]
 
 
 def _up(cameras: Sequence[Matrix]) -> NDArray[np.float64]:

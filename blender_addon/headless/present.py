@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from blender_addon.camera_conversion import blender_pose, set_intrinsics, set_render_size
 from blender_addon.headless.comparison import Original, choose_original, write_side_by_side
-from blender_addon.headless.overview_camera import FieldOfView, overview_pose
+from blender_addon.headless.overview_camera import FieldOfView, overview_pose, without_strays
 from blender_addon.headless.quiet_stdout import quiet_stdout
 from blender_addon.headless.render_still import render_png, set_up_presentation
 from blender_addon.headless.save_blend import save_blend
@@ -104,7 +104,7 @@ def _overview_camera(
 ) -> bpy.types.Object:
     """Return a new camera, the scene's, that frames the mesh, the camera path and the markers."""
     wires = [_wire_points(item) for item in collection.all_objects if item.type == "CURVE"]
-    points_world = np.concatenate([reconstruction.mesh.vertices_world, *wires])
+    points_world = np.concatenate([without_strays(reconstruction.mesh.vertices_world), *wires])
     camera = _square_pixels(size)
     pose = overview_pose(
         points_world,

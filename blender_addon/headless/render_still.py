@@ -35,5 +35,6 @@ def render_png(scene: bpy.types.Scene, camera: bpy.types.Object, path: Path) -> 
     """Render ``scene`` through ``camera`` at its own size and write ``path`` atomically."""
     scene.camera = camera
     with replacing(path) as temporary:
-        scene.render.filepath = str(temporary)
-        bpy.ops.render.render(write_still=True, scene=scene.name)
+        bpy.ops.render.render(scene=scene.name)
+        # Not through the scene's output path: Blender takes braces in that for a template.
+        bpy.data.images["Render Result"].save_render(str(temporary), scene=scene)

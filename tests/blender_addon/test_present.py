@@ -91,6 +91,17 @@ def test_without_its_dataset_a_reconstruction_is_presented_without_comparison(sp
     _check_refused(result, "dataset: no such folder")
 
 
+def test_a_folder_of_any_name_is_presented(sphere_scan: Any) -> None:
+    folder = sphere_scan.folder.with_name("é {x} ## %d 'q'")
+    sphere_scan.folder.rename(folder)
+    result = _run(folder, "--size", "64x48", "--samples", "1")
+    assert result.returncode == 0, result.stderr
+    assert result.stdout.splitlines() == [
+        str(folder / name) for name in ("result.blend", "preview.png", "comparison.png")
+    ]
+    assert cv2.imdecode(np.fromfile(folder / "preview.png", np.uint8), cv2.IMREAD_COLOR).shape == (48, 64, 3)
+
+
 def test_bad_input_is_refused_in_one_line_with_nothing_written(sphere_scan: Any) -> None:
     (sphere_scan.folder / "mesh.ply").write_bytes(b"")
     before = sorted(sphere_scan.folder.iterdir())
