@@ -42,7 +42,9 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
     render = commands.add_parser("render", help="render a scene into a dataset; goes on where a killed run stopped")
-    render.add_argument("scene", metavar="SCENE", help=f"one of: {', '.join(shipped_scenes())}; or a scene file (.toml)")
+    render.add_argument(
+        "scene", metavar="SCENE", help=f"one of: {', '.join(shipped_scenes())}; or a scene file (.toml)"
+    )
     render.add_argument("out", metavar="OUT", type=Path, help="folder of the dataset")
     render.add_argument("--frames", type=int, metavar="N", help="number of frames; the path stays the same")
     render.add_argument("--size", type=_size, metavar="WxH", help="image size in pixels, for example 640x480")
@@ -64,9 +66,7 @@ def _render(options: argparse.Namespace) -> None:
     changes: dict[str, Any] = {name: value for name in names if (value := getattr(options, name)) is not None}
     scene = with_render_settings(load_scene(options.scene), **changes)
     with on_terminal() as progress:
-        dataset = render_dataset(
-            scene, options.out, device=options.device, workers=options.workers, progress=progress
-        )
+        dataset = render_dataset(scene, options.out, device=options.device, workers=options.workers, progress=progress)
     assert dataset.metadata is not None
     made_by = dataset.metadata.provenance
     print(

@@ -11,7 +11,7 @@ def linear_from_srgb(srgb: ArrayLike) -> NDArray[np.float64]:
 
 
 def srgb_from_linear(linear: ArrayLike) -> NDArray[np.float64]:
-    """Return sRGB values in [0, 1] for linear light, any shape; what is darker than black or brighter than white clips."""
+    """Return sRGB values in [0, 1] for linear light, any shape; light beyond black and white clips."""
     value = np.clip(np.asarray(linear, dtype=np.float64), 0, 1)
     return np.where(value <= 0.0031308, value * 12.92, 1.055 * value ** (1 / 2.4) - 0.055)
 

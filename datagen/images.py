@@ -54,7 +54,7 @@ def write_depth(path: Path, depth: NDArray[np.floating], *, metres_per_step: flo
         raise InputError(f"{path}: depth holds NaN, infinity or a negative value; mark invalid pixels with 0")
     steps = np.rint(np.asarray(depth, dtype=np.float64) / metres_per_step)
     if (steps >= DEPTH_INVALID_MAX).any():
-        needed = float(depth.max()) / (DEPTH_INVALID_MAX - 1)
+        needed = float(depth.max()) / (DEPTH_INVALID_MAX - 1) * 1.05  # the message rounds it to two digits
         raise InputError(
             f"{path}: a depth of {depth.max():.3f} m does not fit 16 bits at {metres_per_step:g} m per step; "
             f"set depth_scale to {needed:.2g} or more"

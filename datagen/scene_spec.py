@@ -5,6 +5,7 @@ Lengths are metres, angles degrees, the world's z axis points up. Colours are sR
 """
 
 import re
+from itertools import pairwise
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator, model_validator
@@ -105,10 +106,10 @@ class Keyframe(_Spec):
 
 
 class ObjectSettings(_Spec):
-    """A shape in Blender's own size: sphere, cylinder and torus of radius 1, cube and plane of side 2, Suzanne 2.7 wide.
+    """A shape in Blender's own size: round ones of radius 1, cube and plane of side 2, Suzanne 2.7 wide.
 
-    It is scaled (by one number or by one an axis), turned about x, then y, then z, and moved. ``subdivision`` rounds it by that many Catmull-Clark
-    levels; ``smooth`` shades across faces and leaves the geometry as it is.
+    It is scaled (by one number or by one an axis), turned about x, then y, then z, and moved. ``subdivision`` rounds
+    it by that many Catmull-Clark levels; ``smooth`` shades across faces and leaves the geometry as it is.
     """
 
     name: Name
@@ -184,7 +185,7 @@ class Scene(_Spec):
     def _keys_follow_each_other(cls, keys: tuple[Keyframe, ...]) -> tuple[Keyframe, ...]:
         if not keys:
             raise ValueError("give at least one")
-        for i, (key, following) in enumerate(zip(keys, keys[1:], strict=False)):
+        for i, (key, following) in enumerate(pairwise(keys)):
             if following.time <= key.time:
                 raise ValueError(
                     f"times must increase, but key [{i + 1}] has time {following.time} after {key.time} of key [{i}]"

@@ -20,16 +20,14 @@ def describe_validation_error(path: Path | str, error: ValidationError, model: t
 
 def _describe(fault: Any, model: type[BaseModel]) -> str:
     location = fault["loc"]
-    key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location).lstrip(".") or "file"
+    key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location).lstrip(".")
     if fault["type"] == "extra_forbidden":
         return f"{key}: unknown key{_suggestion(str(location[-1]), _allowed_keys(model, location[:-1]))}"
     if fault["type"] == "missing":
         return f"{key}: missing"
-    message = fault["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
-    expected = message if message != fault["msg"] or fault["type"] == "value_error" else fault["msg"]
-    label = "" if fault["type"] == "value_error" else "expected "
+    message = fault["msg"].removeprefix("Value error, ").replace("Input should be ", "expected ")
     found = "" if isinstance(fault["input"], dict) or len(repr(fault["input"])) > 80 else f", found {fault['input']!r}"
-    return f"{key}: {label}{expected}{found}"
+    return f"{key}: {message}{found}".removeprefix(": ")
 
 
 def _suggestion(key: str, allowed: list[str]) -> str:

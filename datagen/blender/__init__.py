@@ -1,1 +1,1 @@
-"""Rendering scenes in headless Blender; the only modules of the package that import ``bpy``, run in worker processes."""
+"""Rendering scenes in headless Blender: the only modules that import ``bpy``, used in worker processes."""

@@ -1,6 +1,7 @@
 """Camera keyframes as Blender F-curves, so that the motion can be seen and edited in Blender as any other."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import bpy
 import numpy as np
@@ -21,7 +22,7 @@ def animate_camera(camera: bpy.types.Object, keyframes: Sequence[Keyframe], *, f
     quaternion turn the camera itself. Raises InputError where two keys fall together at so few frames.
     """
     key_frames = [key.time * max(frames - 1, 1) for key in keyframes]
-    for earlier, later in zip(key_frames, key_frames[1:], strict=False):
+    for earlier, later in pairwise(key_frames):
         if later - earlier < SMALLEST_KEY_SPACING:
             raise InputError(
                 f"keyframes: two of them lie {later - earlier:.3g} frames apart at {frames} frames, "

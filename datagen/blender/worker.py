@@ -37,7 +37,7 @@ def main() -> int:
         return 0  # the parent died; what was being written is whole all the same
     except InputError as error:
         return _fail(reports, str(error), input_error=True)
-    except Exception as error:  # noqa: BLE001 - it is the parent's to raise
+    except Exception as error:  # the parent raises it
         traceback.print_exc()
         return _fail(reports, f"{type(error).__name__}: {error}", input_error=False)
     finally:

@@ -1,0 +1,61 @@
+import json
+
+import numpy as np
+import pytest
+
+from datagen.cli import main
+from datagen.dataset_writer import write_frame
+
+
+@pytest.fixture
+def kitchen(tmp_path):
+    """A 7-Scenes folder of two frames."""
+    for frame in range(2):
+        pose = np.eye(4)
+        pose[0, 3] = frame
+        write_frame(
+            tmp_path,
+            frame,
+            color=np.zeros((480, 640, 3), np.uint8),
+            depth=np.full((480, 640), 1.5),
+            world_from_camera=pose,
+            depth_scale=0.001,
+        )
+    return tmp_path
+
+
+def test_info_prints_json_and_nothing_else(kitchen, capsys):
+    assert main(["info", str(kitchen), "--json"]) == 0
+    summary = json.loads(capsys.readouterr().out)
+    assert (summary["format"], summary["frames_complete"]) == ("7-Scenes", 2)
+    assert summary["trajectory"]["length_m"] == pytest.approx(1.0)
+
+
+def test_info_speaks_to_people(kitchen, capsys):
+    assert main(["info", str(kitchen)]) == 0
+    assert "2 complete of 2" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (["info", "/nowhere"], "/nowhere: no such folder"),
+        (["render", "suzane", "unused"], "did you mean suzanne"),
+        (["render", "suzanne", "unused", "--frames", "0"], "frames: expected greater than or equal to 1, found 0"),
+    ],
+)
+def test_bad_input_is_one_line_on_standard_error_and_exit_code_2(arguments, complaint, capsys):
+    assert main(arguments) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("datagen: error: ")
+    assert complaint in err
+    assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize("options", [["--size", "640"], ["--workers", "0"], ["--device", "gpu"], ["--frames", "x"]])
+def test_options_that_cannot_be_parsed_leave_with_exit_code_2(options, capsys):
+    with pytest.raises(SystemExit) as left:
+        main(["render", "suzanne", "unused", *options])
+    assert left.value.code == 2
+    assert options[0] in capsys.readouterr().err
