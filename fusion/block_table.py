@@ -60,16 +60,19 @@ def insert_key(keys: wp.array(dtype=wp.int64), key: wp.int64, key_count: wp.arra
     """Return the slot that holds ``key``, claiming an empty one if need be; −1 where the table is half full."""
     capacity = keys.shape[0]
     slot = first_slot(key, capacity)
-    while keys[slot] != key:
-        if keys[slot] == _EMPTY:
+    # Each slot is read once: another thread may fill it in between.
+    held = keys[slot]
+    while held != key:
+        if held == _EMPTY:
             if key_count[0] >= capacity / 2:
                 return -1
             held = wp.atomic_cas(keys, slot, _EMPTY, key)
             if held == _EMPTY:
                 wp.atomic_add(key_count, 0, 1)
-            if held == _EMPTY or held == key:
-                return slot
-        slot = (slot + 1) & (capacity - 1)
+                held = key
+        else:
+            slot = (slot + 1) & (capacity - 1)
+            held = keys[slot]
     return slot
 
 

@@ -40,7 +40,8 @@ def save_volume(path: Path, volume: Volume) -> None:
 def load_volume(path: Path, *, device: Device) -> Volume:
     """Read a volume; raises InputError where the file is missing, damaged, or of another version."""
     try:
-        with np.load(path, allow_pickle=False) as file:
+        # Opened here, since NumPy leaves a file that it cannot read open.
+        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
         version = int(arrays["version"])
         if version != VERSION:
@@ -58,7 +59,7 @@ def load_volume(path: Path, *, device: Device) -> Volume:
         }
     except FileNotFoundError:
         raise InputError(f"{path}: the file is missing; reconstruct it again") from None
-    except (OSError, KeyError, ValueError, zipfile.BadZipFile, zlib.error) as error:
+    except (OSError, EOFError, KeyError, AttributeError, ValueError, zipfile.BadZipFile, zlib.error) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(f"{path}: damaged, or not a volume ({error}); reconstruct it again") from error

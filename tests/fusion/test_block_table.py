@@ -1,0 +1,63 @@
+import numpy as np
+import pytest
+import warp as wp
+
+from fusion.block_table import COORDINATE_LIMIT, BlockLimitError, BlockTable, block_key, block_of_key, find_block
+
+
+@wp.kernel(module="unique")
+def _round_trip(blocks: wp.array(dtype=wp.vec3i), unpacked: wp.array(dtype=wp.vec3i)):
+    unpacked[wp.tid()] = block_of_key(block_key(blocks[wp.tid()]))
+
+
+@wp.kernel(module="unique")
+def _look_up(
+    keys: wp.array(dtype=wp.int64),
+    numbers: wp.array(dtype=int),
+    blocks: wp.array(dtype=wp.vec3i),
+    found: wp.array(dtype=int),
+):
+    found[wp.tid()] = find_block(keys, numbers, blocks[wp.tid()])
+
+
+def look_up(table, blocks):
+    found = wp.empty(len(blocks), dtype=int, device=table.device)
+    inputs = [table.keys, table.numbers, wp.array(blocks, dtype=wp.vec3i, device=table.device)]
+    wp.launch(_look_up, dim=len(blocks), inputs=inputs, outputs=[found], device=table.device)
+    return found.numpy()
+
+
+def test_packing_coordinates_loses_nothing(device):
+    rng = np.random.default_rng(1)
+    extremes = [-COORDINATE_LIMIT, -1, 0, 1, COORDINATE_LIMIT - 1]
+    corners = np.array(np.meshgrid(extremes, extremes, extremes)).reshape(3, -1).T
+    blocks = np.concatenate([corners, rng.integers(-COORDINATE_LIMIT, COORDINATE_LIMIT, (1000, 3))]).astype(np.int32)
+    unpacked = wp.empty(len(blocks), dtype=wp.vec3i, device=device)
+    wp.launch(
+        _round_trip, dim=len(blocks), inputs=[wp.array(blocks, dtype=wp.vec3i, device=device), unpacked], device=device
+    )
+    np.testing.assert_array_equal(unpacked.numpy(), blocks)
+
+
+def test_growing_loses_no_block_and_keeps_its_number(device):
+    rng = np.random.default_rng(2)
+    blocks = np.unique(rng.integers(-50, 50, (3000, 3)).astype(np.int32), axis=0)
+    rng.shuffle(blocks)
+    table = BlockTable(device=device, max_blocks=10_000, capacity=64)
+    table.adopt(blocks)
+    np.testing.assert_array_equal(look_up(table, blocks), np.arange(len(blocks)))
+    table.grow()
+    np.testing.assert_array_equal(look_up(table, blocks), np.arange(len(blocks)))
+
+
+def test_a_block_that_was_never_entered_is_not_found(device):
+    table = BlockTable(device=device, max_blocks=100)
+    table.adopt(np.array([[0, 0, 0], [1, 2, 3]], np.int32))
+    assert look_up(table, np.array([[3, 2, 1], [0, 0, 1], [COORDINATE_LIMIT, 0, 0]], np.int32)).tolist() == [-1, -1, -1]
+
+
+def test_the_table_refuses_to_grow_beyond_its_bound(device):
+    table = BlockTable(device=device, max_blocks=10, capacity=16)
+    with pytest.raises(BlockLimitError, match="more than the 10 blocks"):
+        for _ in range(10):
+            table.grow()
