@@ -18,7 +18,10 @@ DEPTH_SCALE = 0.0001
 
 @dataclass(frozen=True)
 class SphereScene:
-    """A sphere, its red and blue halves divided at x = centre, and if wanted a green wall: the part within 2 m of the plane z = ``wall_z``."""
+    """A sphere, its red and blue halves divided at x = centre.
+
+    If wanted there is a green wall too: the part within 2 m of the plane z = ``wall_z``.
+    """
 
     centre: tuple[float, float, float] = (0.1, -0.05, 0.2)
     radius: float = 0.3

@@ -57,6 +57,16 @@ def test_a_pose_that_is_rigid_within_rounding_is_mended(capsys, data, tmp_path):
     assert run(capsys, "reconstruct", data, tmp_path / "out", "--voxel-size", 0.02)[0] == 0
 
 
+def truncate(path):
+    path.write_bytes(path.read_bytes()[:-100])
+
+
+def shrink_camera(folder):
+    metadata = json.loads((folder / "dataset.json").read_text())
+    metadata["intrinsics"]["width"] = 80
+    (folder / "dataset.json").write_text(json.dumps(metadata))
+
+
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
@@ -71,7 +81,7 @@ def test_a_pose_that_is_rigid_within_rounding_is_mended(capsys, data, tmp_path):
         ),
         (lambda d: truncate(d / "frames" / "frame-000002.depth.png"), "frame-000002.depth.png: damaged or cut short"),
         (lambda d: truncate(d / "frames" / "frame-000002.color.png"), "frame-000002.color.png: damaged or cut short"),
-        (lambda d: shrink_camera(d), "the image is 160×120, the dataset's camera 80×120"),
+        (shrink_camera, "the image is 160×120, the dataset's camera 80×120"),
         (lambda d: (d / "dataset.json").write_text("{"), "dataset.json: "),
         (lambda d: shutil.rmtree(d / "frames"), "frame-000000.color.png: the file is missing"),
         (lambda d: [shutil.rmtree(d), d.mkdir()], "not a dataset"),
@@ -85,16 +95,6 @@ def test_bad_datasets_give_one_clear_error_and_nothing_half_written(capsys, data
     assert message in errors.replace("\n", "")
     assert errors.count("fusion: error:") == 1
     assert not (tmp_path / "out").exists()
-
-
-def truncate(path):
-    path.write_bytes(path.read_bytes()[:-100])
-
-
-def shrink_camera(folder):
-    metadata = json.loads((folder / "dataset.json").read_text())
-    metadata["intrinsics"]["width"] = 80
-    (folder / "dataset.json").write_text(json.dumps(metadata))
 
 
 @pytest.mark.parametrize(

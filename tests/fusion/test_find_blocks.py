@@ -13,7 +13,7 @@ CAMERA = PinholeCamera(width=45, height=37, fx=40.0, fy=42.0, cx=21.7, cy=17.2)
 
 
 def band_voxels(depth, world_from_camera, *, voxel_size, truncation, camera=CAMERA):
-    """Return the lattice coordinates of all voxels that equation (1) puts within the truncation band, by brute force."""
+    """Return the lattice coordinates of all voxels that equation (1) puts within the truncation band."""
     points = transform_points(world_from_camera, camera.back_project(depth)[depth > 0])
     reach = truncation * 2 + voxel_size * 2
     low, high = np.floor((points.min(0) - reach) / voxel_size), np.ceil((points.max(0) + reach) / voxel_size)

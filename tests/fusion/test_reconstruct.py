@@ -49,8 +49,9 @@ def test_a_sphere_comes_back_closed_and_exact(device, dataset, tmp_path):
 def test_vertex_colours_are_those_of_the_surface(device, dataset, tmp_path):
     mesh = reconstruct(dataset, tmp_path, config(device)).mesh
     along = mesh.vertices[:, 0] - SCENE.centre[0]
-    np.testing.assert_allclose(mesh.colors[along > 3 * VOXEL_SIZE], [200, 40, 20], atol=12)
-    np.testing.assert_allclose(mesh.colors[along < -3 * VOXEL_SIZE], [20, 40, 200], atol=12)
+    # Within the truncation a voxel takes the colour of the pixel before it, seen slantingly from the other half.
+    np.testing.assert_allclose(mesh.colors[along > 10 * VOXEL_SIZE], [200, 40, 20], atol=12)
+    np.testing.assert_allclose(mesh.colors[along < -10 * VOXEL_SIZE], [20, 40, 200], atol=12)
 
 
 def test_the_record_says_what_scripts_rely_on(device, dataset, tmp_path):
