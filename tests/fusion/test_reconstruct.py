@@ -50,8 +50,8 @@ def test_vertex_colours_are_those_of_the_surface(device, dataset, tmp_path):
     mesh = reconstruct(dataset, tmp_path, config(device)).mesh
     along = mesh.vertices[:, 0] - SCENE.centre[0]
     # Within the truncation a voxel takes the colour of the pixel before it, seen slantingly from the other half.
-    np.testing.assert_allclose(mesh.colors[along > 10 * VOXEL_SIZE], [200, 40, 20], atol=12)
-    np.testing.assert_allclose(mesh.colors[along < -10 * VOXEL_SIZE], [20, 40, 200], atol=12)
+    for side, color in ((along, (200, 40, 20)), (-along, (20, 40, 200))):
+        assert np.abs(mesh.colors[side > 6 * VOXEL_SIZE].astype(int) - color).max() <= 2
 
 
 def test_the_record_says_what_scripts_rely_on(device, dataset, tmp_path):
