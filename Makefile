@@ -1,0 +1,59 @@
+# make demo   render Suzanne, fuse, locate, and open it all in Blender: the folder demo/
+# make test   install what the tests need, and run them
+# make lint   format, lint and type-check
+# Blender's Python module exists for Python 3.11 (Blender 4.5, 5.0) and 3.13 (5.1 and later).
+
+PYTHON ?= $(shell command -v python3.11 || command -v python3.13 || echo python3)
+VENV ?= .venv
+DEMO ?= demo
+RUN := $(VENV)/bin/python -m
+
+.PHONY: demo test lint format clean system-libraries
+.DELETE_ON_ERROR:
+
+demo: $(DEMO)/result.blend
+	@echo "Open $(DEMO)/result.blend in Blender, or look at $(DEMO)/preview.png and $(DEMO)/comparison.png"
+
+# A complete dataset is left as it is, and with it the folder's date: then nothing below is made again.
+$(DEMO)/dataset/frames: $(VENV)/blender.installed scenes/suzanne.toml FORCE
+	$(RUN) datagen render suzanne $(DEMO)/dataset
+
+$(DEMO)/reconstruction.json: $(DEMO)/dataset/frames
+	$(RUN) fusion reconstruct $(DEMO)/dataset $(DEMO) --frames ::2
+
+$(DEMO)/poses.json: $(DEMO)/reconstruction.json
+	$(RUN) fusion locate $(DEMO) $(DEMO)/dataset --frames 5::10
+
+$(DEMO)/result.blend: $(DEMO)/poses.json
+	$(RUN) blender_addon $(DEMO)
+
+test: $(VENV)/dev.installed
+	$(RUN) pytest
+
+lint: $(VENV)/dev.installed
+	$(RUN) ruff format --check .
+	$(RUN) ruff check .
+	$(RUN) mypy
+
+format: $(VENV)/dev.installed
+	$(RUN) ruff check --fix .
+	$(RUN) ruff format .
+
+clean:
+	rm -rf $(VENV) $(DEMO) build dist *.egg-info
+
+system-libraries:
+	@sh .ci/system-libraries.sh $(PYTHON)
+
+$(VENV)/bin/python: | system-libraries
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/blender.installed: pyproject.toml | $(VENV)/bin/python
+	$(VENV)/bin/pip install --quiet --editable '.[blender]'
+	@touch $@
+
+$(VENV)/dev.installed: pyproject.toml | $(VENV)/bin/python
+	$(VENV)/bin/pip install --quiet --editable '.[blender,dev]'
+	@touch $@ $(VENV)/blender.installed
+
+FORCE:
