@@ -66,7 +66,7 @@ class RenderWorker:
         self._scratch = tempfile.mkdtemp(prefix="scanback-", dir=_scratch_parent(job))
         self._log = tempfile.TemporaryFile("w+b")  # noqa: SIM115 - closed when the worker is stopped
         self._process = subprocess.Popen(  # noqa: S603 - our own module
-            [sys.executable, "-m", WORKER_MODULE],
+            [sys.executable, "-m", WORKER_MODULE, self._scratch],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._log,
@@ -81,7 +81,6 @@ class RenderWorker:
                 "scene": job.scene.model_dump_json(),
                 "device": job.device,
                 "threads": job.threads,
-                "scratch": self._scratch,
             }
         )
 

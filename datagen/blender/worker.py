@@ -1,8 +1,8 @@
-"""A process that renders what it is told to: ``python -m datagen.blender.worker``.
+"""A process that renders what it is told to: ``python -m datagen.blender.worker SCRATCH``.
 
 Standard input brings one JSON object a line: first the job, then one task each. Standard output gives one JSON line
 for each of them and nothing else; what Blender prints goes to standard error. The end of standard input ends the
-process, so that none is left behind when its parent dies.
+process, which removes its SCRATCH folder then, so that nothing is left behind when its parent dies.
 """
 
 import json
@@ -23,12 +23,12 @@ if TYPE_CHECKING:
 def main() -> int:
     """Serve one parent until it closes standard input; returns the exit code."""
     reports = _claim_standard_output()
-    first_line = sys.stdin.readline()
-    if not first_line:
-        return 0
-    job = json.loads(first_line)
+    scratch = Path(sys.argv[1])
     try:
-        session = _open_session(job)
+        first_line = sys.stdin.readline()
+        if not first_line:
+            return 0
+        session = _open_session(json.loads(first_line), scratch)
         _send(reports, session.description())
         for line in sys.stdin:
             _perform(session, json.loads(line))
@@ -41,7 +41,7 @@ def main() -> int:
         traceback.print_exc()
         return _fail(reports, f"{type(error).__name__}: {error}", input_error=False)
     finally:
-        shutil.rmtree(job["scratch"], ignore_errors=True)
+        shutil.rmtree(scratch, ignore_errors=True)
     return 0
 
 
@@ -62,7 +62,7 @@ def _fail(reports: TextIO, message: str, *, input_error: bool) -> int:
     return 1
 
 
-def _open_session(job: dict[str, Any]) -> "RenderSession":
+def _open_session(job: dict[str, Any], scratch: Path) -> "RenderSession":
     try:
         from datagen.blender.session import RenderSession  # noqa: PLC0415 - what is missing is said to the parent
     except ModuleNotFoundError as error:
@@ -75,7 +75,7 @@ def _open_session(job: dict[str, Any]) -> "RenderSession":
             "libx11-6 libxrender1 libxfixes3 libxi6 libxkbcommon0 libsm6 libgl1"
         ) from error
     scene = Scene.model_validate_json(job["scene"])
-    return RenderSession(scene, device=job["device"], threads=job["threads"], scratch=Path(job["scratch"]))
+    return RenderSession(scene, device=job["device"], threads=job["threads"], scratch=scratch)
 
 
 def _perform(session: "RenderSession", task: dict[str, Any]) -> None:
