@@ -8,7 +8,7 @@ VENV ?= .venv
 DEMO ?= demo
 RUN := $(VENV)/bin/python -m
 
-.PHONY: demo test lint format clean system-libraries
+.PHONY: demo test lint clean system-libraries
 .DELETE_ON_ERROR:
 
 demo: $(DEMO)/result.blend
@@ -30,14 +30,11 @@ $(DEMO)/result.blend: $(DEMO)/poses.json
 test: $(VENV)/dev.installed
 	$(RUN) pytest
 
+# CI changes nothing: there, what is not formatted fails.
 lint: $(VENV)/dev.installed
-	$(RUN) ruff format --check .
+	$(RUN) ruff format $(if $(CI),--check) .
 	$(RUN) ruff check .
 	$(RUN) mypy
-
-format: $(VENV)/dev.installed
-	$(RUN) ruff check --fix .
-	$(RUN) ruff format .
 
 clean:
 	rm -rf $(VENV) $(DEMO) build dist *.egg-info

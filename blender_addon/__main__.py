@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 
 from blender_addon.errors import ReconstructionError
+from blender_addon.headless.quiet_stdout import quiet_stdout
 from datagen.errors import InputError
 from datagen.progress import on_terminal
 
@@ -18,7 +19,8 @@ def main(arguments: list[str] | None = None) -> int:
     folder: Path = options.reconstruction
     try:
         # Blender is imported late, so that --help is quick and its absence can be explained.
-        from blender_addon.headless.present import PresentConfig, present  # noqa: PLC0415
+        with quiet_stdout():
+            from blender_addon.headless.present import PresentConfig, present  # noqa: PLC0415
 
         config = PresentConfig(
             reconstruction=folder,
