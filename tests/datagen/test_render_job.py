@@ -151,13 +151,15 @@ def test_a_complete_dataset_returns_without_starting_blender(scene_file, uninter
 
 def test_control_c_stops_the_workers_says_how_to_go_on_and_leaves_nothing_torn(scene_file, tmp_path):
     out = tmp_path / "dataset"
+    # A shell's background jobs, and all that they start, ignore Ctrl-C.
+    heeding = (
+        "import os, signal, sys; signal.signal(signal.SIGINT, signal.SIG_DFL); os.execv(sys.argv[1], sys.argv[1:])"
+    )
     process = subprocess.Popen(
-        command(scene_file, out, "--frames", "200"),
+        [sys.executable, "-c", heeding, *command(scene_file, out, "--frames", "200")],
         cwd=CHECKOUT,
         stderr=subprocess.PIPE,
         stdout=subprocess.PIPE,
-        # A shell's background jobs, and all that they start, ignore Ctrl-C.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     while process.poll() is None and len(list((out / "frames").glob("*.pose.txt"))) < 2:
         time.sleep(0.01)
