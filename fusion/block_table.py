@@ -21,6 +21,7 @@ COORDINATE_LIMIT = 1 << 20
 _EMPTY = wp.constant(wp.int64(-1))
 _LIMIT = wp.constant(COORDINATE_LIMIT)
 _FIELD_BITS = wp.constant(wp.int64(21))
+_GROUP_BITS = wp.constant(wp.int64(2))
 _FIELD_MASK = wp.constant(wp.int64((1 << 21) - 1))
 
 
@@ -49,10 +50,28 @@ def block_of_key(key: wp.int64) -> wp.vec3i:
 
 
 @wp.func
+def spread_bits(value: wp.int64) -> int:
+    """Return the lowest two bits of ``value``, apart by two zeros: bits 0 and 3."""
+    low = wp.int32(value & wp.int64(3))
+    return (low & 1) | ((low & 2) << 2)
+
+
+@wp.func
 def first_slot(key: wp.int64, capacity: int) -> int:
-    """Return where a key's probe begins (Fibonacci hashing; capacity is a power of two)."""
-    mixed = wp.uint64(key) * wp.uint64(0x9E3779B97F4A7C15)
-    return wp.int32(mixed >> wp.uint64(33)) & (capacity - 1)
+    """Return where a key's probe begins; capacity is a power of two, 64 or more.
+
+    Groups of 4×4×4 blocks are scattered (Fibonacci hashing); within one, blocks follow each other in Morton order. So
+    blocks that are listed in the order of their slots come as neighbours, and find each other's pixels in the cache.
+    """
+    z = key & _FIELD_MASK
+    y = (key >> _FIELD_BITS) & _FIELD_MASK
+    x = key >> (_FIELD_BITS + _FIELD_BITS)
+    group = (
+        ((x >> _GROUP_BITS) << (_FIELD_BITS + _FIELD_BITS)) | ((y >> _GROUP_BITS) << _FIELD_BITS) | (z >> _GROUP_BITS)
+    )
+    mixed = wp.int32((wp.uint64(group) * wp.uint64(0x9E3779B97F4A7C15)) >> wp.uint64(33))
+    within = spread_bits(x) | (spread_bits(y) << 1) | (spread_bits(z) << 2)
+    return ((mixed << 6) | within) & (capacity - 1)
 
 
 @wp.func
