@@ -11,7 +11,7 @@ RUN := $(VENV)/bin/python -m
 .PHONY: demo test lint clean system-libraries
 .DELETE_ON_ERROR:
 
-demo: $(DEMO)/result.blend
+demo: $(DEMO)/comparison.png
 	@echo "Open $(DEMO)/result.blend in Blender, or look at $(DEMO)/preview.png and $(DEMO)/comparison.png"
 
 # A complete dataset is left as it is, and with it the folder's date: then nothing below is made again.
@@ -24,7 +24,8 @@ $(DEMO)/reconstruction.json: $(DEMO)/dataset/frames
 $(DEMO)/poses.json: $(DEMO)/reconstruction.json
 	$(RUN) fusion locate $(DEMO) $(DEMO)/dataset --frames 5::10
 
-$(DEMO)/result.blend: $(DEMO)/poses.json
+# result.blend and preview.png are there when this last one is.
+$(DEMO)/comparison.png: $(DEMO)/poses.json
 	$(RUN) blender_addon $(DEMO)
 
 test: $(VENV)/dev.installed

@@ -36,6 +36,7 @@ from fusion.integrate import integrate_blocks
 from fusion.marching_cubes import marching_cubes
 from fusion.mesh import read_mesh
 from fusion.reconstruct import KERNEL_MODULES
+from fusion.visible_blocks import visible_blocks
 from fusion.volume import Volume
 
 
@@ -69,12 +70,13 @@ def run_ours(frames, camera, options):
     def integrate():
         volume = Volume(device=device, max_blocks=10**6, **lengths)
         upload = FrameUploader(camera, device=device)
-        for first in range(0, len(frames), MAX_BATCH):
-            some = frames[first : first + MAX_BATCH]
+        groups = [frames[first : first + MAX_BATCH] for first in range(0, len(frames), MAX_BATCH)]
+        for some in groups:
+            find_blocks(volume.table, upload([f.depth for f in some], [f.world_from_camera for f in some]), **lengths)
+        volume.reserve(volume.table.count)
+        for some in groups:
             batch = upload([f.depth for f in some], [f.world_from_camera for f in some], [f.color for f in some])
-            found = find_blocks(volume.table, batch, **lengths)
-            volume.reserve(volume.table.count)
-            integrate_blocks(volume, batch, found)
+            integrate_blocks(volume, batch, visible_blocks(volume, batch))
         return volume
 
     def extract(volume):

@@ -52,6 +52,15 @@ def write_json(path: Path, value: Any) -> None:
     write_bytes(path, (json.dumps(value, indent=2, allow_nan=False) + "\n").encode())
 
 
+def require_writable(folder: Path) -> None:
+    """Raise InputError unless ``folder``, there or still to be made, can be written to; nothing is made."""
+    existing = next(path for path in (folder.absolute(), *folder.absolute().parents) if os.path.lexists(path))
+    if not existing.is_dir():
+        raise InputError(f"{folder}: {existing} is a file, not a folder; name another place to write to")
+    if not os.access(existing, os.W_OK | os.X_OK):
+        raise InputError(f"{folder}: {existing} cannot be written to; name another place, or change its permissions")
+
+
 def remove_unfinished(folder: Path) -> None:
     """Delete the temporary files that a killed process left in ``folder``."""
     for leftover in folder.glob(f"{TEMPORARY_PREFIX}*"):

@@ -7,13 +7,16 @@ from numpy.typing import NDArray
 
 from datagen.errors import InputError
 
+LARGEST_FOCAL_RATIO = 1000.0
+"""Between a focal length and the image's side; beyond it, no lens is meant."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class PinholeCamera:
     """Intrinsics of an ideal camera, in pixels.
 
     Axes are x right, y down, z forward. Integer coordinates are pixel centres: u = fx·x/z + cx, and the image spans
-    [-0.5, width − 0.5] × [-0.5, height − 0.5]. Raises InputError for a size or focal length that is not positive.
+    [-0.5, width − 0.5] × [-0.5, height − 0.5]. Raises InputError for a size or focal length that no camera has.
     """
 
     width: int
@@ -27,11 +30,14 @@ class PinholeCamera:
         """Refuse intrinsics that no camera has."""
         if self.width < 1 or self.height < 1:
             raise InputError(f"camera: image size {self.width}×{self.height}, expected at least 1×1")
-        if not np.isfinite([self.fx, self.fy, self.cx, self.cy]).all() or self.fx <= 0 or self.fy <= 0:
-            raise InputError(
-                f"camera: fx {self.fx}, fy {self.fy}, cx {self.cx}, cy {self.cy}; "
-                "expected finite numbers and positive focal lengths"
-            )
+        for name, focal, side in (("fx", self.fx, self.width), ("fy", self.fy, self.height)):
+            if not side / LARGEST_FOCAL_RATIO <= focal <= side * LARGEST_FOCAL_RATIO:
+                raise InputError(
+                    f"camera: {name} {focal:g} for an image of {side} pixels, expected "
+                    f"{side / LARGEST_FOCAL_RATIO:g} to {side * LARGEST_FOCAL_RATIO:g}; focal lengths are in pixels"
+                )
+        if not np.isfinite([self.cx, self.cy]).all():
+            raise InputError(f"camera: cx {self.cx}, cy {self.cy}; expected finite numbers")
 
     @classmethod
     def from_corner_origin(

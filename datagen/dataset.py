@@ -12,6 +12,9 @@ from datagen.errors import InputError
 from datagen.images import read_color, read_depth
 from datagen.rigid import Matrix, rigid
 
+DEPTH_PART = "depth.png"
+POSE_PART = "pose.txt"
+
 
 @dataclass(frozen=True, kw_only=True)
 class Frame:
@@ -55,12 +58,12 @@ class Dataset:
 
     def depth(self, frame_id: int) -> NDArray[np.float32]:
         """Return planar depth (height, width) in metres, 0 = invalid, of a frame."""
-        path = frame_file(self.frames_folder, frame_id, "depth.png")
+        path = frame_file(self.frames_folder, frame_id, DEPTH_PART)
         return read_depth(path, size=self._size, metres_per_step=self.depth_scale)
 
     def world_from_camera(self, frame_id: int) -> Matrix:
         """Return the pose of a frame, made exactly rigid where it is so within rounding."""
-        return read_pose(frame_file(self.frames_folder, frame_id, "pose.txt"))
+        return read_pose(frame_file(self.frames_folder, frame_id, POSE_PART))
 
     def frame(self, frame_id: int) -> Frame:
         """Read a whole frame."""
@@ -71,21 +74,28 @@ class Dataset:
             world_from_camera=self.world_from_camera(frame_id),
         )
 
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """The files that make a frame, by their names' ends."""
+        return (f"color.{self.color_suffix}", DEPTH_PART, POSE_PART)
+
     def is_complete(self, frame_id: int) -> bool:
         """Tell whether all files of a frame are there."""
-        parts = (f"color.{self.color_suffix}", "depth.png", "pose.txt")
-        return all(frame_file(self.frames_folder, frame_id, part).is_file() for part in parts)
+        return all(self.has(frame_id, part) for part in self.parts)
 
-    def require_complete(self, frame_ids: tuple[int, ...]) -> None:
-        """Raise InputError, naming the first file that is missing, unless every file of ``frame_ids`` is there."""
-        parts = (f"color.{self.color_suffix}", "depth.png", "pose.txt")
-        wanted = [frame_file(self.frames_folder, i, part) for i in frame_ids for part in parts]
-        missing = [path for path in wanted if not path.is_file()]
+    def has(self, frame_id: int, part: str) -> bool:
+        """Tell whether one file of a frame is there."""
+        return frame_file(self.frames_folder, frame_id, part).is_file()
+
+    def require(self, frame_ids: tuple[int, ...], parts: tuple[str, ...] | None = None) -> None:
+        """Raise InputError, naming the first file that is missing, unless ``parts`` (all) of each frame are there."""
+        parts = parts or self.parts
+        missing = [(i, part) for i in frame_ids for part in parts if not self.has(i, part)]
         if missing:
-            frames = len({path.name.split(".")[0] for path in missing})
+            first = frame_file(self.frames_folder, *missing[0])
             raise InputError(
-                f"{missing[0]}: the file is missing, and {frames} of the {len(frame_ids)} chosen frames lack one; "
-                "finish the recording or rendering, or choose complete frames with --frames"
+                f"{first}: the file is missing, and {len(dict(missing))} of the {len(frame_ids)} chosen frames lack "
+                "one; finish the recording or rendering, or choose complete frames with --frames"
             )
 
 

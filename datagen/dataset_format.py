@@ -21,14 +21,14 @@ def frame_file(folder: Path, frame_id: int, part: str) -> Path:
 
 
 class _Record(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
 
 class Intrinsics(_Record):
     """The camera, as ``PinholeCamera`` has it: pixels, integer pixel centres."""
 
-    width: int
-    height: int
+    width: int = Field(ge=1, le=65536)
+    height: int = Field(ge=1, le=65536)
     fx: float
     fy: float
     cx: float
@@ -60,9 +60,9 @@ class Metadata(_Record):
 
     format: Literal["scanback-dataset"] = "scanback-dataset"
     version: Literal[1] = 1
-    frame_count: int = Field(ge=1)
+    frame_count: int = Field(ge=1, le=1_000_000)
     intrinsics: Intrinsics
-    depth_scale: float = Field(gt=0)
+    depth_scale: float = Field(gt=0, le=10)
     frames_per_second: float = Field(gt=0)
     conventions: Conventions = Conventions()
     layers: tuple[str, ...] = Field(default=(), strict=False)

@@ -67,7 +67,8 @@ def describe(summary: dict[str, Any]) -> str:
         extent = " × ".join(f"{side:.2f}" for side in path["extent_m"])
         lines["trajectory"] = f"{path['length_m']:.2f} m long, within {extent} m"
     if summary["recipe"] is not None:
-        render = summary["recipe"].get("render", {})
+        render = summary["recipe"].get("render")
+        render = render if isinstance(render, dict) else {}
         lines["scene"] = f"{summary['recipe'].get('name')}, {render.get('samples')} samples, seed {render.get('seed')}"
     if summary["provenance"] is not None:
         made = summary["provenance"]

@@ -12,8 +12,8 @@ def select_frames(frame_ids: Sequence[int], selection: str | None) -> tuple[int,
     """Return the frames that ``selection`` takes, in order.
 
     ``selection`` is a Python slice over the dataset's frames in their order (not over their numbers): ``0:60``,
-    ``::10``, ``-20:``; one integer takes one frame; None takes all. Raises InputError for anything else, and where
-    nothing is selected.
+    ``::10``, ``-20:`` (on a command line ``--frames=-20:``); one integer takes one frame; None takes all. Raises
+    InputError for anything else, and where nothing is selected.
     """
     if selection is None:
         return tuple(frame_ids)

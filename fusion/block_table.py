@@ -75,37 +75,40 @@ def first_slot(key: wp.int64, capacity: int) -> int:
 
 
 @wp.func
-def insert_key(keys: wp.array(dtype=wp.int64), key: wp.int64, key_count: wp.array(dtype=int)) -> int:
-    """Return the slot that holds ``key``, claiming an empty one if need be; −1 where the table is half full."""
+def insert_key(keys: wp.array(dtype=wp.int64), key: wp.int64, key_count: wp.array(dtype=int)) -> bool:
+    """Enter ``key`` unless it is there; False where the table is half full and has to grow first."""
     capacity = keys.shape[0]
     slot = first_slot(key, capacity)
-    # Each slot is read once: another thread may fill it in between.
-    held = keys[slot]
-    while held != key:
+    # Each slot is read once: another thread may fill it in between. Threads that find the table half full at the same
+    # time may fill it further, so the search is bounded, and whoever claims a slot too many says so.
+    for _probe in range(capacity):
+        held = keys[slot]
         if held == _EMPTY:
             if key_count[0] >= capacity / 2:
-                return -1
+                return False
             held = wp.atomic_cas(keys, slot, _EMPTY, key)
             if held == _EMPTY:
-                wp.atomic_add(key_count, 0, 1)
-                held = key
-        else:
-            slot = (slot + 1) & (capacity - 1)
-            held = keys[slot]
+                return wp.atomic_add(key_count, 0, 1) < capacity / 2
+        if held == key:
+            return True
+        slot = (slot + 1) & (capacity - 1)
+    return False
+
+
+@wp.func
+def find_slot(keys: wp.array(dtype=wp.int64), key: wp.int64) -> int:
+    """Return the slot that holds ``key``, or the empty one where its search ends."""
+    capacity = keys.shape[0]
+    slot = first_slot(key, capacity)
+    while keys[slot] != key and keys[slot] != _EMPTY:
+        slot = (slot + 1) & (capacity - 1)
     return slot
 
 
 @wp.func
 def find_block(keys: wp.array(dtype=wp.int64), numbers: wp.array(dtype=int), block: wp.vec3i) -> int:
     """Return the number of a block, −1 where it does not exist."""
-    key = block_key(block)
-    capacity = keys.shape[0]
-    slot = first_slot(key, capacity)
-    while keys[slot] != key:
-        if keys[slot] == _EMPTY:
-            return -1
-        slot = (slot + 1) & (capacity - 1)
-    return numbers[slot]
+    return numbers[find_slot(keys, block_key(block))]
 
 
 @wp.kernel
@@ -129,8 +132,9 @@ def _insert_numbered(
     numbers: wp.array(dtype=int),
     key_count: wp.array(dtype=int),
 ) -> None:
-    number = wp.tid()
-    numbers[insert_key(keys, block_key(blocks[number]), key_count)] = number
+    key = block_key(blocks[wp.tid()])
+    insert_key(keys, key, key_count)
+    numbers[find_slot(keys, key)] = wp.tid()
 
 
 class BlockTable:

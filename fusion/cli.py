@@ -15,11 +15,11 @@ from datagen.errors import InputError
 from datagen.frame_selection import select_frames
 from datagen.progress import on_terminal
 from fusion.devices import resolve_device
-from fusion.evaluate import evaluate
+from fusion.evaluate import Observers, evaluate
 from fusion.locate import locate
 from fusion.mesh import read_mesh
 from fusion.reconstruct import reconstruct
-from fusion.reconstruction_config import ReconstructionConfig
+from fusion.reconstruction_config import ReconstructionConfig, check_length
 from fusion.reconstruction_files import RECORD_FILE, LocatedPose, ReconstructionRecord, poses_as_json, read_record
 
 
@@ -32,7 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"fusion: error: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print("fusion: interrupted; nothing was written", file=sys.stderr)
+        print("fusion: interrupted; the same command begins anew", file=sys.stderr)
         return 130
     return 0
 
@@ -59,7 +59,12 @@ def _parser() -> argparse.ArgumentParser:
     command = commands.add_parser("evaluate", help="measure a mesh against the truth")
     command.add_argument("mesh", type=Path)
     command.add_argument("ground_truth", type=Path, help="a mesh, or a dataset that has one")
-    command.add_argument("--observed-by", type=Path, metavar="DATASET", help="cull the truth to what its frames saw")
+    command.add_argument(
+        "--observed-by",
+        type=Path,
+        metavar="DATASET",
+        help="cull the truth to what its frames saw, not to what the mesh's record says",
+    )
     command.add_argument("--threshold", type=float, action="append", metavar="M", help="of the F-score; repeatable")
     command.add_argument("--voxel-size", type=float, metavar="M", help="to give lengths in voxels too")
     _add_shared(command)
@@ -68,7 +73,11 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _add_shared(command: argparse.ArgumentParser) -> None:
-    command.add_argument("--frames", metavar="START:STOP:STEP", help="which frames, as a Python slice over them")
+    command.add_argument(
+        "--frames",
+        metavar="START:STOP:STEP",
+        help="a Python slice over the frames; --frames=-20: if it begins with a minus",
+    )
     command.add_argument("--device", default="auto", metavar="auto|cpu|cuda[:N]")
     command.add_argument("--json", action="store_true", help="print the result as JSON, and nothing else")
 
@@ -93,46 +102,37 @@ def _reconstruct(options: argparse.Namespace) -> None:
 def _locate(options: argparse.Namespace) -> None:
     dataset = open_dataset(options.dataset)
     with on_terminal() as progress:
-        poses = locate(options.reconstruction, dataset, frames=options.frames, device=options.device, progress=progress)
+        located = locate(
+            options.reconstruction, dataset, frames=options.frames, device=options.device, progress=progress
+        )
+    for frame, reason in located.failures.items():
+        print(f"fusion: note: frame {frame} was not located: {reason}", file=sys.stderr)
     if options.json:
-        _print_json(poses_as_json(poses))
+        _print_json(poses_as_json(located.poses))
     else:
-        _print_poses(poses)
+        _print_poses(located.poses)
 
 
 def _evaluate(options: argparse.Namespace) -> None:
-    mesh = read_mesh(options.mesh)
-    voxel_size, frames = options.voxel_size, options.frames
-    fused: tuple[int, ...] | None = None
-    if (options.mesh.parent / RECORD_FILE).is_file():
-        # A reconstruction knows its voxel size and the frames that observed it.
-        record = read_record(options.mesh.parent)
-        voxel_size = voxel_size or record.voxel_size_m
-        fused = tuple(frame.frame for frame in record.trajectory)
-    is_dataset = options.ground_truth.is_dir()
-    observer = options.observed_by or (options.ground_truth if is_dataset else None)
-    dataset = open_dataset(observer) if observer else None
-    truth_path = options.ground_truth
-    if is_dataset:
-        truth_path = open_dataset(options.ground_truth).ground_truth_mesh
-        if truth_path is None:
-            raise InputError(f"{options.ground_truth}: this dataset has no ground-truth mesh; name a mesh file")
+    for option, values in (("--threshold", options.threshold or []), ("--voxel-size", [options.voxel_size])):
+        for value in values:
+            if value is not None:
+                check_length(option, value)
+    # A reconstruction knows its voxel size and the frames that observed it.
+    folder = options.mesh.parent
+    record = read_record(folder) if (folder / RECORD_FILE).is_file() else None
+    voxel_size = options.voxel_size or (record.voxel_size_m if record else None)
     thresholds = options.threshold or ([voxel_size / 2, voxel_size] if voxel_size else None)
     if thresholds is None:
         raise InputError(f"{options.mesh}: its voxel size is not known; give --voxel-size or --threshold")
-    if min(thresholds) <= 0:
-        raise InputError(f"--threshold {min(thresholds):g}: expected a positive number of metres")
-    observed_by = None
-    if dataset is not None:
-        known = fused if frames is None and fused and set(fused) <= set(dataset.frame_ids) else None
-        observed_by = (dataset, known or select_frames(dataset.frame_ids, frames))
+    mesh, ground_truth = read_mesh(options.mesh), read_mesh(_ground_truth_file(options.ground_truth))
     with on_terminal() as progress:
         metrics = evaluate(
             mesh,
-            read_mesh(truth_path),
+            ground_truth,
             thresholds=thresholds,
             device=resolve_device(options.device),
-            observed_by=observed_by,
+            observed_by=_observers(options, folder, record),
             voxel_size=voxel_size,
             progress=progress,
         )
@@ -140,6 +140,29 @@ def _evaluate(options: argparse.Namespace) -> None:
         _print_json(metrics)
     else:
         _print_metrics(metrics)
+
+
+def _ground_truth_file(path: Path) -> Path:
+    if not path.is_dir():
+        return path
+    mesh = open_dataset(path).ground_truth_mesh
+    if mesh is None:
+        raise InputError(f"{path}: this dataset has no ground-truth mesh; name a mesh file")
+    return mesh
+
+
+def _observers(options: argparse.Namespace, folder: Path, record: ReconstructionRecord | None) -> Observers | None:
+    """Return the frames to cull the truth to: those asked for, else those that the mesh was made of."""
+    dataset_folder = options.observed_by or (options.ground_truth if options.ground_truth.is_dir() else None)
+    if record is not None and options.frames is None:
+        recorded = folder / record.dataset
+        if recorded.is_dir() and dataset_folder in (None, options.ground_truth, recorded):
+            fused = tuple(frame.frame for frame in record.trajectory)
+            return Observers(dataset=open_dataset(recorded), frame_ids=fused, depth_max=record.depth_max_m)
+    if dataset_folder is None:
+        return None
+    dataset = open_dataset(dataset_folder)
+    return Observers(dataset=dataset, frame_ids=select_frames(dataset.frame_ids, options.frames))
 
 
 def _print_json(value: Any) -> None:

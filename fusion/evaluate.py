@@ -11,7 +11,7 @@ from datagen.dataset import Dataset
 from datagen.errors import InputError
 from datagen.progress import ProgressReporter, silent
 from fusion.devices import Device
-from fusion.mesh import Mesh, read_mesh
+from fusion.mesh import Mesh
 from fusion.observed_surface import observed_points
 from fusion.surface_distance import closest_points
 
@@ -25,6 +25,15 @@ class SurfaceSamples:
 
     points: NDArray[np.float64]
     normals: NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Observers:
+    """The frames of a dataset that observed a scene, up to ``depth_max`` metres of depth (None: all of it)."""
+
+    dataset: Dataset
+    frame_ids: tuple[int, ...]
+    depth_max: float | None = None
 
 
 def sample_surface(mesh: Mesh, count: int, *, rng: np.random.Generator) -> SurfaceSamples:
@@ -46,7 +55,7 @@ def evaluate(
     *,
     thresholds: Sequence[float],
     device: Device,
-    observed_by: tuple[Dataset, tuple[int, ...]] | None = None,
+    observed_by: Observers | None = None,
     voxel_size: float | None = None,
     progress: ProgressReporter = silent,
 ) -> dict[str, Any]:
@@ -56,7 +65,7 @@ def evaluate(
     ``chamfer_m`` their mean. ``fscores`` has for each threshold (metres) the share of the mesh's points nearer than it
     to the truth (precision), that of the truth's (recall), and their harmonic mean; ``fscore`` is the first of them
     (Knapitsch et al. 2017). ``normal_consistency`` is the mean |cos| between a point's normal and that of its closest
-    triangle, both ways (Mescheder et al. 2019). With ``observed_by``, a dataset and frames, the truth is culled to
+    triangle, both ways (Mescheder et al. 2019). With ``observed_by`` the truth is culled to
     what they saw; the mesh is always held against the whole truth. With ``voxel_size``, lengths are given in voxels
     too. Raises InputError where nothing of the truth was seen.
     """
@@ -64,11 +73,17 @@ def evaluate(
     ours = sample_surface(mesh, SAMPLES, rng=rng)
     truth = sample_surface(ground_truth, SAMPLES, rng=rng)
     if observed_by is not None:
-        dataset, frame_ids = observed_by
-        seen = observed_points(truth.points, dataset, frame_ids, device=device, progress=progress)
+        seen = observed_points(
+            truth.points,
+            observed_by.dataset,
+            observed_by.frame_ids,
+            device=device,
+            depth_max=observed_by.depth_max,
+            progress=progress,
+        )
         if not seen.any():
             raise InputError(
-                f"{dataset.folder}: its frames see nothing of the ground truth; are both in one world frame?"
+                f"{observed_by.dataset.folder}: its frames see nothing of the ground truth; are they of one scene?"
             )
         truth = SurfaceSamples(points=truth.points[seen], normals=truth.normals[seen])
     to_truth, precision_cosines = _compare(ours, ground_truth, device)
@@ -87,28 +102,6 @@ def evaluate(
         lengths = ("chamfer", "accuracy", "completeness")
         metrics |= {f"{name}_voxels": metrics[f"{name}_m"] / voxel_size for name in lengths}
     return metrics
-
-
-def evaluate_reconstruction(
-    mesh: Mesh,
-    dataset: Dataset,
-    frame_ids: tuple[int, ...],
-    voxel_size: float,
-    device: Device,
-    progress: ProgressReporter = silent,
-) -> dict[str, Any] | None:
-    """Compare a fused mesh with its dataset's ground truth, at half a voxel and a voxel; None where there is none."""
-    if dataset.ground_truth_mesh is None:
-        return None
-    return evaluate(
-        mesh,
-        read_mesh(dataset.ground_truth_mesh),
-        thresholds=(voxel_size / 2, voxel_size),
-        device=device,
-        observed_by=(dataset, frame_ids),
-        voxel_size=voxel_size,
-        progress=progress,
-    )
 
 
 def _compare(samples: SurfaceSamples, mesh: Mesh, device: Device) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

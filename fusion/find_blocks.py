@@ -6,49 +6,34 @@ found, by testing the box of the centres against the piece's six planes: no bloc
 beside it are taken. Where a tile spans an edge in depth, its near and far pixels make a piece each.
 """
 
-from dataclasses import dataclass
-
-import numpy as np
 import warp as wp
 
-from fusion.block_table import BLOCK_SIDE, BlockTable, block_key, insert_key
+from datagen.errors import InputError
+from fusion.block_table import BLOCK_SIDE, COORDINATE_LIMIT, BlockTable, block_key, insert_key
 from fusion.frame_batch import FrameBatch
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-TILE = wp.constant(8)
+TILE = 8
+_TILE = wp.constant(TILE)
+TABLE_FULL, OUT_OF_RANGE = 1, 2
+_TABLE_FULL = wp.constant(TABLE_FULL)
+_OUT_OF_RANGE = wp.constant(OUT_OF_RANGE)
 _SIDE = wp.constant(float(BLOCK_SIDE))
 _FAR = wp.constant(3.0e38)
 
 
-@dataclass(frozen=True, kw_only=True)
-class FoundBlocks:
-    """The blocks that a batch of frames touches.
-
-    ``numbers`` (n,) int, block numbers, each once; ``frame_masks`` (n,) uint32, bit f set where frame f touches it.
-    """
-
-    numbers: wp.array
-    frame_masks: wp.array
-
-    def __len__(self) -> int:
-        """Return the number of blocks."""
-        return int(self.numbers.shape[0])
-
-
 @wp.func
-def mark_piece(
+def enter_piece(
     world_from_camera: wp.mat44,
     corners: wp.vec4,  # x/z at the tile's left and right, y/z at its top and bottom
     near: float,
     far: float,
     voxel_size: float,
-    frame_bit: wp.uint32,
     keys: wp.array(dtype=wp.int64),
     key_count: wp.array(dtype=int),
-    masks: wp.array(dtype=wp.uint32),
 ) -> int:
-    """Mark every block with a voxel centre in one frustum piece; returns 0, or 1 where the table is full."""
+    """Enter every block with a voxel centre in one frustum piece; returns 0, or what stands in the way."""
     rotation = wp.mat33(
         world_from_camera[0, 0], world_from_camera[0, 1], world_from_camera[0, 2],
         world_from_camera[1, 0], world_from_camera[1, 1], world_from_camera[1, 2],
@@ -100,17 +85,15 @@ def mark_piece(
                     and wp.dot(side3, centre) <= reach3
                 ):
                     key = block_key(wp.vec3i(bx, by, bz))
-                    if key >= wp.int64(0):
-                        slot = insert_key(keys, key, key_count)
-                        if slot < 0:
-                            return 1
-                        if (masks[slot] & frame_bit) == wp.uint32(0):
-                            wp.atomic_or(masks, slot, frame_bit)
+                    if key < wp.int64(0):
+                        return _OUT_OF_RANGE
+                    if not insert_key(keys, key, key_count):
+                        return _TABLE_FULL
     return 0
 
 
 @wp.kernel
-def _mark_blocks(
+def _enter_blocks(
     depth: wp.array3d(dtype=float),
     world_from_camera: wp.array(dtype=wp.mat44),
     intrinsics: wp.vec4,  # fx, fy, cx, cy
@@ -118,18 +101,17 @@ def _mark_blocks(
     voxel_size: float,
     keys: wp.array(dtype=wp.int64),
     key_count: wp.array(dtype=int),
-    masks: wp.array(dtype=wp.uint32),
-    overflow: wp.array(dtype=int),
+    problems: wp.array(dtype=int),
 ) -> None:
     frame, tile_v, tile_u = wp.tid()
-    if overflow[0] != 0:
+    if problems[0] != 0:
         return
     height = depth.shape[1]
     width = depth.shape[2]
-    u0 = tile_u * TILE
-    v0 = tile_v * TILE
-    u1 = wp.min(u0 + TILE, width)
-    v1 = wp.min(v0 + TILE, height)
+    u0 = tile_u * _TILE
+    v0 = tile_v * _TILE
+    u1 = wp.min(u0 + _TILE, width)
+    v1 = wp.min(v0 + _TILE, height)
     z_min = float(_FAR)
     z_max = float(0.0)
     for v in range(v0, v1):
@@ -166,72 +148,48 @@ def _mark_blocks(
     )
     slack = 1.0e-4 * truncation
     pose = world_from_camera[frame]
-    bit = wp.uint32(1) << wp.uint32(frame)
     for piece in range(2):
         near = wp.where(piece == 0, z_min, far_min)
         far = wp.where(piece == 0, near_max, z_max)
         if near < _FAR:
             near = wp.max(near - truncation - slack, 1.0e-6)
             far = far + truncation + slack
-            if mark_piece(pose, corners, near, far, voxel_size, bit, keys, key_count, masks) != 0:
-                overflow[0] = 1
+            problem = enter_piece(pose, corners, near, far, voxel_size, keys, key_count)
+            if problem != 0:
+                problems[0] = problem
 
 
-@wp.kernel
-def _list_marked(
-    numbers: wp.array(dtype=int),
-    masks: wp.array(dtype=wp.uint32),
-    listed_numbers: wp.array(dtype=int),
-    listed_masks: wp.array(dtype=wp.uint32),
-    listed_count: wp.array(dtype=int),
-) -> None:
-    slot = wp.tid()
-    if masks[slot] != wp.uint32(0):
-        index = wp.atomic_add(listed_count, 0, 1)
-        listed_numbers[index] = numbers[slot]
-        listed_masks[index] = masks[slot]
+def find_blocks(table: BlockTable, batch: FrameBatch, *, truncation: float, voxel_size: float) -> None:
+    """Enter the blocks that the batch's truncation bands touch into ``table``.
 
-
-def find_blocks(table: BlockTable, batch: FrameBatch, *, truncation: float, voxel_size: float) -> FoundBlocks:
-    """Enter the blocks that the batch's truncation bands touch into ``table`` and return them with their frames.
-
-    The result depends on the frames alone, not on what the table held. ``truncation`` and ``voxel_size`` are metres.
-    Raises BlockLimitError where the table may not grow as far as the frames ask.
+    Which they are depends on the frames alone. ``truncation`` and ``voxel_size`` are metres. Raises BlockLimitError
+    where the table may not grow as far as the frames ask, and InputError for surfaces too far away to be numbered.
     """
+    camera = batch.camera
+    tiles = (-(-camera.height // TILE), -(-camera.width // TILE))
     while True:
-        masks = wp.zeros(table.capacity, dtype=wp.uint32, device=table.device)
-        if _mark(table, batch, masks, truncation=truncation, voxel_size=voxel_size):
+        problems = wp.zeros(1, dtype=int, device=table.device)
+        wp.launch(
+            _enter_blocks,
+            dim=(len(batch), *tiles),
+            inputs=[
+                batch.depth,
+                batch.world_from_camera,
+                wp.vec4(camera.fx, camera.fy, camera.cx, camera.cy),
+                truncation,
+                voxel_size,
+            ],
+            outputs=[table.keys, table.key_count, problems],
+            device=table.device,
+        )
+        problem = int(problems.numpy()[0])
+        if problem == 0:
             break
+        if problem == OUT_OF_RANGE:
+            reach = COORDINATE_LIMIT * BLOCK_SIDE * voxel_size
+            raise InputError(
+                f"a surface is more than {reach:.3g} m from the world's origin, too far for voxels of {voxel_size:g} m;"
+                " use a larger --voxel-size, or leave far depths out with --depth-max"
+            )
         table.grow()
     table.number_new_blocks()
-    listed_numbers = wp.empty(table.count, dtype=int, device=table.device)
-    listed_masks = wp.empty(table.count, dtype=wp.uint32, device=table.device)
-    listed_count = wp.zeros(1, dtype=int, device=table.device)
-    outputs = [listed_numbers, listed_masks, listed_count]
-    wp.launch(_list_marked, dim=table.capacity, inputs=[table.numbers, masks], outputs=outputs, device=table.device)
-    count = int(listed_count.numpy()[0])
-    return FoundBlocks(
-        numbers=wp.clone(listed_numbers[:count]) if count else listed_numbers,
-        frame_masks=wp.clone(listed_masks[:count]) if count else listed_masks,
-    )
-
-
-def _mark(table: BlockTable, batch: FrameBatch, masks: wp.array, *, truncation: float, voxel_size: float) -> bool:
-    """Run the kernel once; False where the table filled up."""
-    camera = batch.camera
-    overflow = wp.zeros(1, dtype=int, device=table.device)
-    tiles = (-(-camera.height // 8), -(-camera.width // 8))
-    wp.launch(
-        _mark_blocks,
-        dim=(len(batch), *tiles),
-        inputs=[
-            batch.depth,
-            batch.world_from_camera,
-            wp.vec4(camera.fx, camera.fy, camera.cx, camera.cy),
-            truncation,
-            voxel_size,
-        ],
-        outputs=[table.keys, table.key_count, masks, overflow],
-        device=table.device,
-    )
-    return not np.any(overflow.numpy())

@@ -20,19 +20,37 @@ MAX_BATCH = 32
 class FrameBatch:
     """Up to ``MAX_BATCH`` frames of one camera, as device arrays.
 
-    ``depth`` (frames, height, width) float32 planar metres, 0 = invalid; ``color`` (frames, height, width) uint32,
-    red in the lowest byte, or None for depth alone; ``world_from_camera`` and ``camera_from_world`` (frames,) mat44.
+    ``depth`` (frames, height, width) float32 planar metres, 0 = invalid; ``color`` (frames, height, width) uint32, red
+    in the lowest byte, or None for depth alone; ``world_from_camera`` (frames,) mat44, and ``poses`` the same on the
+    host in double precision.
     """
 
     camera: PinholeCamera
     depth: wp.array
     color: wp.array | None
     world_from_camera: wp.array
-    camera_from_world: wp.array
+    poses: tuple[Matrix, ...]
 
     def __len__(self) -> int:
         """Return the number of frames."""
-        return int(self.depth.shape[0])
+        return len(self.poses)
+
+    def camera_from_lattice(self, voxel_size: float) -> wp.array:
+        """Return (frames,) mat44 that take lattice coordinates, i of voxel i, into the camera frame, metres."""
+        return self._matrices(np.eye(4), voxel_size)
+
+    def pixel_from_lattice(self, voxel_size: float) -> wp.array:
+        """Return (frames,) mat44 that take lattice coordinates to (u·z, v·z, z, 1)."""
+        camera = self.camera
+        pixel_from_camera = np.diag([camera.fx, camera.fy, 1.0, 1.0])
+        pixel_from_camera[:2, 2] = camera.cx, camera.cy
+        return self._matrices(pixel_from_camera, voxel_size)
+
+    def _matrices(self, target_from_camera: Matrix, voxel_size: float) -> wp.array:
+        """Multiply in double precision; only the product is rounded."""
+        world_from_lattice = np.diag([voxel_size, voxel_size, voxel_size, 1.0])
+        products = [target_from_camera @ inverse(pose) @ world_from_lattice for pose in self.poses]
+        return wp.array(np.stack(products).astype(np.float32), dtype=wp.mat44, device=self.depth.device)
 
 
 class FrameUploader:
@@ -69,11 +87,12 @@ class FrameUploader:
         if self.device.is_cuda:
             wp.copy(self._depth, self._host_depth)
             wp.copy(self._color, self._host_color)
-        camera_from_world = np.stack([inverse(pose) for pose in poses])
+            # The next call fills the host buffers anew.
+            wp.synchronize_device(self.device)
         return FrameBatch(
             camera=self.camera,
             depth=self._depth[:count],
             color=None if colors is None else self._color[:count],
             world_from_camera=wp.array(np.stack(poses).astype(np.float32), dtype=wp.mat44, device=self.device),
-            camera_from_world=wp.array(camera_from_world.astype(np.float32), dtype=wp.mat44, device=self.device),
+            poses=tuple(poses),
         )

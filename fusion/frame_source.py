@@ -11,8 +11,12 @@ import psutil
 from numpy.typing import NDArray
 
 from datagen.dataset import Dataset
+from datagen.errors import InputError
 from datagen.rigid import Matrix
 from fusion.frame_batch import MAX_BATCH
+
+FARTHEST = 10_000.0
+"""Metres from the world's origin within which frames are fused; meshes are stored in single precision."""
 
 _Pixel = TypeVar("_Pixel", bound=np.generic)
 
@@ -27,10 +31,10 @@ class FrameSource:
     """
 
     def __init__(self, dataset: Dataset, frame_ids: tuple[int, ...], *, depth_max: float | None) -> None:
-        dataset.require_complete(frame_ids)
+        dataset.require(frame_ids)
         self.dataset = dataset
         self.frame_ids = frame_ids
-        self.poses: dict[int, Matrix] = {frame_id: dataset.world_from_camera(frame_id) for frame_id in frame_ids}
+        self.poses = {frame_id: _near_pose(dataset, frame_id) for frame_id in frame_ids}
         self.seconds = 0.0
         self._depth_max = depth_max
         image_bytes = 4 * dataset.camera.width * dataset.camera.height
@@ -76,3 +80,15 @@ class FrameSource:
         if len(self._cache) < self._cache_room:
             self._cache[frame_id] = depth
         return depth
+
+
+def _near_pose(dataset: Dataset, frame_id: int) -> Matrix:
+    """Read a pose; raises InputError where it lies so far out that single precision loses millimetres."""
+    pose = dataset.world_from_camera(frame_id)
+    distance = float(np.linalg.norm(pose[:3, 3]))
+    if distance > FARTHEST:
+        raise InputError(
+            f"{dataset.folder}: frame {frame_id}: the camera stands {distance:.4g} m from the world's origin, more "
+            f"than {FARTHEST:g} m, where single precision loses millimetres; subtract one offset from all positions"
+        )
+    return pose

@@ -1,18 +1,17 @@
-"""Frame integration: the paper's equations (1) to (5), for every voxel of the found blocks.
+"""Frame integration: the paper's equations (1) to (5), for every voxel of the blocks that the frames see.
 
-A thread takes a row of eight voxels along x through all frames of the batch that touch its block; the sums stay in
+A thread takes a row of eight voxels along x through all frames of the batch that see its block; the sums stay in
 registers, so a voxel is read and written once a batch however many frames see it. Along the row the projection moves by
 a constant step. The row is written in C++, the same for CPU and CUDA, because its plain loops over eight lanes become
 vector instructions on the CPU, which Warp's scalar code does not: it takes half the time.
 """
 
-import numpy as np
 import warp as wp
 
 from fusion.block_table import BLOCK_SIDE
 from fusion.devices import launch_in_slabs
-from fusion.find_blocks import FoundBlocks
 from fusion.frame_batch import FrameBatch
+from fusion.visible_blocks import VisibleBlocks
 from fusion.volume import Volume
 
 wp.set_module_options({"enable_backward": False})
@@ -33,7 +32,7 @@ _ROW_IN_CPP = """
 #else
         const int frame = __builtin_ctz(left);
 #endif
-        const wp::mat44 &p = pixel_from_voxel.data[frame];
+        const wp::mat44 &p = pixel_from_lattice.data[frame];
         const float uz = p.data[0][0] * x + p.data[0][1] * y + p.data[0][2] * z + p.data[0][3];
         const float vz = p.data[1][0] * x + p.data[1][1] * y + p.data[1][2] * z + p.data[1][3];
         const float z0 = p.data[2][0] * x + p.data[2][1] * y + p.data[2][2] * z + p.data[2][3];
@@ -93,7 +92,7 @@ def integrate_row(
     voxel: int,
     depth: wp.array3d(dtype=float),
     color: wp.array3d(dtype=wp.uint32),
-    pixel_from_voxel: wp.array(dtype=wp.mat44),
+    pixel_from_lattice: wp.array(dtype=wp.mat44),
     truncation: float,
     distance_sum: wp.array(dtype=float),
     weight: wp.array(dtype=float),
@@ -101,18 +100,17 @@ def integrate_row(
     color_weight: wp.array(dtype=float),
 ) -> None:
     """Add all frames of ``frame_mask`` to the eight voxels from index ``voxel`` on, at lattice position (x …, y, z)."""
-    ...
 
 
 @wp.kernel
 def _integrate_rows(
     first: int,
-    found_numbers: wp.array(dtype=int),
-    found_masks: wp.array(dtype=wp.uint32),
+    visible_numbers: wp.array(dtype=int),
+    visible_masks: wp.array(dtype=wp.uint32),
     blocks: wp.array(dtype=wp.vec3i),
     depth: wp.array3d(dtype=float),
     color: wp.array3d(dtype=wp.uint32),
-    pixel_from_voxel: wp.array(dtype=wp.mat44),
+    pixel_from_lattice: wp.array(dtype=wp.mat44),
     truncation: float,
     distance_sum: wp.array(dtype=float),
     weight: wp.array(dtype=float),
@@ -120,19 +118,19 @@ def _integrate_rows(
     color_weight: wp.array(dtype=float),
 ) -> None:
     index = wp.tid() + first
-    found = index / _ROWS
-    row = index - found * _ROWS
-    number = found_numbers[found]
+    listed = index / _ROWS
+    row = index - listed * _ROWS
+    number = visible_numbers[listed]
     block = blocks[number]
     integrate_row(
-        found_masks[found],
+        visible_masks[listed],
         float(8 * block[0]),
         float(8 * block[1] + row % 8),
         float(8 * block[2] + row / 8),
         (number * _ROWS + row) * 8,
         depth,
         color,
-        pixel_from_voxel,
+        pixel_from_lattice,
         truncation,
         distance_sum,
         weight,
@@ -141,25 +139,19 @@ def _integrate_rows(
     )
 
 
-def integrate_blocks(volume: Volume, batch: FrameBatch, found: FoundBlocks) -> None:
-    """Add a batch of frames to the volume's sums over the blocks that ``find_blocks`` found for them."""
+def integrate_blocks(volume: Volume, batch: FrameBatch, visible: VisibleBlocks) -> None:
+    """Add a batch of frames to the volume's sums over the blocks that they see (``visible_blocks``)."""
     assert batch.color is not None, "integration takes frames with colour"
-    camera = batch.camera
-    pixel_from_camera = np.array(
-        [[camera.fx, 0, camera.cx, 0], [0, camera.fy, camera.cy, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
-    )
-    world_from_voxel = np.diag([volume.voxel_size] * 3 + [1.0])
-    pixel_from_voxel = pixel_from_camera @ batch.camera_from_world.numpy().astype(np.float64) @ world_from_voxel
     launch_in_slabs(
         _integrate_rows,
-        dim=len(found) * BLOCK_SIDE * BLOCK_SIDE,
+        dim=len(visible) * BLOCK_SIDE * BLOCK_SIDE,
         inputs=[
-            found.numbers,
-            found.frame_masks,
+            visible.numbers,
+            visible.frame_masks,
             volume.table.blocks,
             batch.depth,
             batch.color,
-            wp.array(pixel_from_voxel.astype(np.float32), dtype=wp.mat44, device=volume.device),
+            batch.pixel_from_lattice(volume.voxel_size),
             volume.truncation,
         ],
         outputs=[volume.distance_sum, volume.weight, volume.color_sum, volume.color_weight],

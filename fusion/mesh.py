@@ -46,9 +46,14 @@ def read_mesh(path: Path) -> Mesh:
         loaded = loaded.to_geometry() if loaded.geometry else None
     if not isinstance(loaded, trimesh.Trimesh) or len(loaded.faces) == 0:
         raise InputError(f"{path}: holds no triangles; expected a triangle mesh, not a point cloud")
+    vertices, faces = np.asarray(loaded.vertices), np.asarray(loaded.faces)
+    if not np.isfinite(vertices).all():
+        raise InputError(f"{path}: a vertex is NaN or infinite; repair the mesh")
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise InputError(f"{path}: a triangle names a vertex that is not there; repair the mesh")
     colors = loaded.visual.vertex_colors[:, :3] if loaded.visual.kind == "vertex" else None
     return Mesh(
-        vertices=np.asarray(loaded.vertices, dtype=np.float32),
-        triangles=np.asarray(loaded.faces, dtype=np.int32),
+        vertices=vertices.astype(np.float32),
+        triangles=faces.astype(np.int32),
         colors=None if colors is None else np.asarray(colors, dtype=np.uint8),
     )

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from datagen.dataset import Dataset
 from datagen.progress import ProgressReporter, silent
 from fusion.devices import Device, launch_in_slabs
-from fusion.frame_batch import FrameBatch, FrameUploader
+from fusion.frame_batch import MAX_BATCH, FrameBatch, FrameUploader
 from fusion.frame_source import FrameSource
 
 wp.set_module_options({"enable_backward": False})
@@ -46,14 +46,18 @@ def observed_points(
     frame_ids: tuple[int, ...],
     *,
     device: Device,
+    depth_max: float | None = None,
     progress: ProgressReporter = silent,
 ) -> NDArray[np.bool_]:
-    """Tell which of ``points`` (n, 3), world frame, at least one of the frames saw: (n,) bool."""
+    """Tell which of ``points`` (n, 3), world frame, at least one of the frames saw: (n,) bool.
+
+    What lies beyond ``depth_max`` metres of depth counts as unseen.
+    """
     observed = wp.zeros(len(points), dtype=wp.uint8, device=device)
     on_device = wp.array(points.astype(np.float32), dtype=wp.vec3, device=device)
-    upload = FrameUploader(dataset.camera, device=device)
+    upload = FrameUploader(dataset.camera, device=device, capacity=min(len(frame_ids), MAX_BATCH))
     advance: Callable[[], None] = progress("visibility", len(frame_ids))
-    with FrameSource(dataset, frame_ids, depth_max=None) as source:
+    with FrameSource(dataset, frame_ids, depth_max=depth_max) as source:
         for batch_ids in source.batches():
             batch = upload(source.depths(batch_ids), [source.poses[i] for i in batch_ids])
             _mark(batch, on_device, observed, device)
@@ -70,7 +74,7 @@ def _mark(batch: FrameBatch, points: wp.array, observed: wp.array, device: Devic
         inputs=[
             points,
             batch.depth,
-            batch.camera_from_world,
+            batch.camera_from_lattice(1.0),
             wp.vec4(camera.fx, camera.fy, camera.cx, camera.cy),
             PIXELS_OF_SLACK / min(camera.fx, camera.fy),
         ],

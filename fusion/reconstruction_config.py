@@ -1,14 +1,15 @@
 """The options of a reconstruction, and what the data suggest where an option is left open."""
 
-import math
 from dataclasses import dataclass
 
 from datagen.errors import InputError
 from fusion.survey import SceneSurvey
 
 VOXELS_PER_TRUNCATION = 4
+MOST_VOXELS_PER_TRUNCATION = 64
 FOOTPRINTS_PER_VOXEL = 2
 VOXELS_PER_EXTENT = 512
+SMALLEST_LENGTH, LARGEST_LENGTH = 1e-6, 1e4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -16,7 +17,7 @@ class ReconstructionConfig:
     """What ``fusion reconstruct`` was asked for; None leaves a length to the data.
 
     ``voxel_size``, ``truncation`` and ``depth_max`` are metres; ``frames`` is START:STOP:STEP; ``device`` auto, cpu or
-    cuda[:N]. Raises InputError for a length that is not positive and finite, or a truncation of less than a voxel.
+    cuda[:N]. Raises InputError for a length that is not from a micrometre to ten kilometres.
     """
 
     voxel_size: float | None = None
@@ -29,20 +30,46 @@ class ReconstructionConfig:
         """Refuse lengths that make no volume."""
         for name in ("voxel_size", "truncation", "depth_max"):
             value = getattr(self, name)
-            if value is not None and not (math.isfinite(value) and value > 0):
-                raise InputError(f"--{name.replace('_', '-')} {value:g}: expected a positive number of metres")
-        if self.voxel_size and self.truncation and self.truncation < self.voxel_size:
-            raise InputError(
-                f"--truncation {self.truncation:g}: less than a voxel ({self.voxel_size:g} m) leaves holes; "
-                f"use {VOXELS_PER_TRUNCATION * self.voxel_size:g}"
-            )
+            if value is not None:
+                check_length(f"--{name.replace('_', '-')}", value)
 
 
-def choose_voxel_size(survey: SceneSurvey) -> float:
-    """Return a voxel size in metres, two digits, that suits the data.
+@dataclass(frozen=True, kw_only=True)
+class Lengths:
+    """The volume's lengths as used, metres; ``truncation_is_given`` tells one that was asked for from a default."""
 
-    Twice a pixel's footprint, below which a voxel sees noise of single pixels; but no less than a 512th of the extent,
-    so that a large scene stays affordable.
+    voxel_size: float
+    truncation: float
+    truncation_is_given: bool
+
+    def with_voxel_size(self, voxel_size: float) -> "Lengths":
+        """Return what another voxel size would lead to: a truncation that was asked for stays."""
+        truncation = self.truncation if self.truncation_is_given else VOXELS_PER_TRUNCATION * voxel_size
+        return Lengths(voxel_size=voxel_size, truncation=truncation, truncation_is_given=self.truncation_is_given)
+
+
+def check_length(option: str, value: float) -> None:
+    """Raise InputError, naming ``option``, unless ``value`` is a length in metres that makes sense."""
+    if not SMALLEST_LENGTH <= value <= LARGEST_LENGTH:
+        raise InputError(
+            f"{option} {value:g}: expected a positive number of metres, from {SMALLEST_LENGTH:g} to {LARGEST_LENGTH:g}"
+        )
+
+
+def choose_lengths(config: ReconstructionConfig, survey: SceneSurvey) -> Lengths:
+    """Return the lengths that were asked for, and for those left open what suits the data.
+
+    The voxel is twice a pixel's footprint wide, below which it sees noise of single pixels, but no less than a 512th of
+    the extent, so that a large scene stays affordable; two digits. The truncation is four voxels. Raises InputError for
+    a truncation that is less than a voxel, or so many voxels that it would fill the space between surfaces.
     """
     size = max(FOOTPRINTS_PER_VOXEL * survey.pixel_footprint, survey.typical_extent / VOXELS_PER_EXTENT)
-    return float(f"{size:.2g}")
+    voxel_size = config.voxel_size or float(f"{size:.2g}")
+    truncation = config.truncation or VOXELS_PER_TRUNCATION * voxel_size
+    if not voxel_size <= truncation <= MOST_VOXELS_PER_TRUNCATION * voxel_size:
+        origin = "" if config.voxel_size else ", which the data suggest,"
+        raise InputError(
+            f"--truncation {truncation:g}: expected 1 to {MOST_VOXELS_PER_TRUNCATION} voxels of {voxel_size:g} m"
+            f"{origin} for example {VOXELS_PER_TRUNCATION * voxel_size:g}"
+        )
+    return Lengths(voxel_size=voxel_size, truncation=truncation, truncation_is_given=config.truncation is not None)

@@ -24,7 +24,7 @@ Rows = list[list[float]]
 
 
 class _Record(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 class Seconds(_Record):
@@ -47,7 +47,8 @@ class ReconstructionRecord(_Record):
     """The contents of ``reconstruction.json``.
 
     ``dataset`` is the dataset's folder relative to the reconstruction's. ``frames`` counts the fused frames, which
-    ``trajectory`` lists; ``frames_per_second`` is integration alone. ``bounds_m`` are the corners of the union of the
+    ``trajectory`` lists; ``frames_per_second`` is integration alone. ``depth_max_m`` is the depth beyond which
+    pixels were left out, null for none. ``bounds_m`` are the corners of the union of the
     frusta cut at the observed depth, world frame. ``metrics`` compares the mesh with the ground truth, where there is
     one.
     """
@@ -68,7 +69,8 @@ class ReconstructionRecord(_Record):
     peak_memory_mb: float
     metrics: dict[str, Any] | None
     camera: Intrinsics
-    trajectory: list[FusedFrame]
+    trajectory: list[FusedFrame] = Field(min_length=1)
+    depth_max_m: float | None
     config: dict[str, Any]
     versions: dict[str, str]
 

@@ -19,7 +19,8 @@ from fusion.devices import Device
 from fusion.volume import Volume
 
 VERSION = 1
-_SUMS = ("distance_sum", "weight", "color_sum", "color_weight")
+_SUMS: dict[str, tuple[int, ...]] = {"distance_sum": (), "weight": (), "color_sum": (3,), "color_weight": ()}
+"""The sums of a voxel and their shapes."""
 
 
 def save_volume(path: Path, volume: Volume) -> None:
@@ -54,8 +55,8 @@ def load_volume(path: Path, *, device: Device) -> Volume:
             max_blocks=len(blocks),
         )
         sums = {
-            name: arrays[name].astype(np.float32).reshape(len(blocks) * BLOCK_VOXELS, *arrays[name].shape[1:])
-            for name in _SUMS
+            name: arrays.pop(name).astype(np.float32, copy=False).reshape(len(blocks) * BLOCK_VOXELS, *tail)
+            for name, tail in _SUMS.items()
         }
     except FileNotFoundError:
         raise InputError(f"{path}: the file is missing; reconstruct it again") from None
@@ -65,7 +66,8 @@ def load_volume(path: Path, *, device: Device) -> Volume:
         raise InputError(f"{path}: damaged, or not a volume ({error}); reconstruct it again") from error
     volume.table.adopt(blocks)
     volume.reserve(len(blocks))
-    for name, values in sums.items():
+    for name in _SUMS:
         array = getattr(volume, name)
-        wp.copy(array, wp.array(values, dtype=array.dtype, device=device))
+        # One after the other, so that a volume is never in memory twice; on the CPU without a copy on the way.
+        wp.copy(array, wp.array(sums.pop(name), dtype=array.dtype, device=device, copy=False))
     return volume

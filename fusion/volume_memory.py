@@ -8,6 +8,7 @@ from fusion.block_table import BLOCK_SIDE, BLOCK_VOXELS, BlockLimitError, BlockT
 from fusion.devices import Device, free_memory
 from fusion.find_blocks import find_blocks
 from fusion.frame_batch import FrameBatch
+from fusion.reconstruction_config import LARGEST_LENGTH, Lengths
 from fusion.survey import SceneSurvey
 from fusion.volume import BYTES_PER_BLOCK
 
@@ -23,51 +24,51 @@ def block_budget(device: Device) -> int:
     return min(int(USABLE_SHARE * free_memory(device) / BYTES_PER_BLOCK), INDEX_LIMIT)
 
 
-def is_hopeless(survey: SceneSurvey, *, voxel_size: float, device: Device) -> bool:
+def is_hopeless(survey: SceneSurvey, lengths: Lengths, *, device: Device) -> bool:
     """Tell whether even one frame's surface, seen as flat, touches more blocks than fit.
 
-    A plane cuts a cube of side s in at most √2 s², so an area A touches at least A / (√2 s²) blocks.
+    A plane cuts a cube of side s in at most √2 s², so an area A touches at least A / (√2 s²) blocks; and its band of
+    thickness 2 t has a volume of 2 t A, which takes at least 2 t A / s³ blocks.
     """
-    return survey.largest_area / (math.sqrt(2) * (BLOCK_SIDE * voxel_size) ** 2) > block_budget(device)
+    side = BLOCK_SIDE * lengths.voxel_size
+    layers = max(1 / math.sqrt(2), 2 * lengths.truncation / side)
+    return survey.largest_area * layers > block_budget(device) * side**2
 
 
 def too_large(
-    batches: Callable[[], Iterable[FrameBatch]],
-    survey: SceneSurvey,
-    *,
-    voxel_size: float,
-    truncation: float,
-    device: Device,
+    batches: Callable[[], Iterable[FrameBatch]], survey: SceneSurvey, lengths: Lengths, *, device: Device
 ) -> InputError:
     """Return the error for a voxel size that does not fit, with the one that does.
 
-    That one is found by counting blocks at coarser sizes; their number goes with the inverse square of the size, as
-    they cover a surface. ``batches`` yields all frames, each time it is called.
+    That one is found by counting blocks at coarser sizes. From there on their number goes at most with the inverse cube
+    of the size (a band of fixed thickness), or square (one that grows with the voxels). ``batches`` yields all frames,
+    each time it is called.
     """
     budget = block_budget(device)
-    coarser, count = voxel_size, None
-    while count is None:
-        coarser *= 2
-        if not is_hopeless(survey, voxel_size=coarser, device=device):
-            count = _count_blocks(batches(), budget, truncation * coarser / voxel_size, coarser, device)
-    # A fifth to spare, since the law is not exact.
-    fitting = coarser * math.sqrt(count / (0.8 * budget))
-    step = 10.0 ** (math.floor(math.log10(fitting)) - 1)
+    coarser, count = lengths, None
+    while count is None and coarser.voxel_size < LARGEST_LENGTH:
+        coarser = lengths.with_voxel_size(2 * coarser.voxel_size)
+        if not is_hopeless(survey, coarser, device=device):
+            count = _count_blocks(batches(), budget, coarser, device)
+    remedy = "leave far depths out with --depth-max"
+    if count is not None:
+        # A fifth to spare, since the law is not exact.
+        power = 1 / 3 if lengths.truncation_is_given else 1 / 2
+        fitting = coarser.voxel_size * (count / (0.8 * budget)) ** power
+        step = 10.0 ** (math.floor(math.log10(fitting)) - 1)
+        remedy = f"{math.ceil(fitting / step) * step:.3g} fits, or {remedy}"
     return InputError(
-        f"--voxel-size {voxel_size:g}: the volume would need more than the {budget * BYTES_PER_BLOCK / 2**30:.1f} GiB "
-        f"that {device.alias} can give it; {math.ceil(fitting / step) * step:.3g} fits, "
-        "or leave far depths out with --depth-max"
+        f"--voxel-size {lengths.voxel_size:g}: the volume would need more than the "
+        f"{budget * BYTES_PER_BLOCK / 2**30:.1f} GiB that {device.alias} can give it; {remedy}"
     )
 
 
-def _count_blocks(
-    batches: Iterable[FrameBatch], budget: int, truncation: float, voxel_size: float, device: Device
-) -> int | None:
+def _count_blocks(batches: Iterable[FrameBatch], budget: int, lengths: Lengths, device: Device) -> int | None:
     """Return how many blocks the frames touch, None where it is more than ``budget``."""
     table = BlockTable(device=device, max_blocks=budget)
     try:
         for batch in batches:
-            find_blocks(table, batch, truncation=truncation, voxel_size=voxel_size)
+            find_blocks(table, batch, truncation=lengths.truncation, voxel_size=lengths.voxel_size)
     except BlockLimitError:
         return None
     return table.count

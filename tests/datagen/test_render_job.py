@@ -91,15 +91,21 @@ def open_every_complete_frame(folder):
     return len(complete)
 
 
-def kill_at(process, moment, folder):
-    """SIGKILL the parent after ``moment`` seconds, or at frame −``moment`` where it is negative."""
+def kill_at(process, moment, folder, *, writers_too):
+    """SIGKILL the parent, and if wanted the workers, which write, after ``moment`` seconds.
+
+    A negative moment counts from when that many frames are there; its fraction is a delay in tenths of a second.
+    """
     deadline = time.monotonic() + (moment if moment >= 0 else 30)
     while time.monotonic() < deadline and process.poll() is None:
-        if moment < 0 and len(list((folder / "frames").glob("*.pose.txt"))) >= -moment:
+        if moment < 0 and len(list((folder / "frames").glob("*.pose.txt"))) >= int(-moment):
+            time.sleep((-moment % 1) / 10)
             break
-        time.sleep(0.002)
+        time.sleep(0.001)
     with contextlib.suppress(psutil.NoSuchProcess):
         children = psutil.Process(process.pid).children()
+        for child in children if writers_too else []:
+            child.kill()
         process.send_signal(signal.SIGKILL)
         process.wait()
         return children
@@ -110,20 +116,29 @@ def test_a_render_killed_at_random_moments_resumes_to_the_same_bits(scene_file, 
     chance = random.Random(20241)
     out = tmp_path / "dataset"
     early = [chance.uniform(0.2, 1.5)]
-    at_frames = [-frame for frame in sorted(chance.sample(range(1, FRAMES), 4))]
-    for moment in early + at_frames:
+    in_frames = [-frame - chance.random() for frame in sorted(chance.sample(range(1, FRAMES - 1), 7))]
+    torn = 0
+    for i, moment in enumerate(early + in_frames):
         with open(os.devnull, "w") as nowhere:
             process = subprocess.Popen(command(scene_file, out), cwd=CHECKOUT, stdout=nowhere, stderr=nowhere)
-            children = kill_at(process, moment, out)
+            children = kill_at(process, moment, out, writers_too=i % 3 != 0)
         open_every_complete_frame(out)
         _, alive = psutil.wait_procs(children, timeout=20)
         assert not alive, "a worker outlived its parent"
         open_every_complete_frame(out)
+        torn += any(not open_dataset(out).is_complete(frame) for frame in begun_frames(out))
     done = run(command(scene_file, out))
     assert done.returncode == 0, done.stderr
     resumed, straight = contents(out), contents(uninterrupted)
     assert resumed.keys() == straight.keys()
     assert [name for name in straight if resumed[name] != straight[name]] == []
+    print(f"{torn} of the kills left a frame half there")
+
+
+def begun_frames(folder):
+    """Return the frames of which some file is there, under its name or a temporary one."""
+    names = [path.name for path in (folder / "frames").glob("frame-*")] if (folder / "dataset.json").is_file() else []
+    return {int(name.split(".")[0].removeprefix("frame-")) for name in names}
 
 
 def test_several_workers_write_the_same_bits(scene_file, uninterrupted, tmp_path):

@@ -3,6 +3,7 @@ import shutil
 
 import numpy as np
 import pytest
+import trimesh
 from synthetic_scene import SphereScene, write_dataset
 
 from fusion.cli import main
@@ -104,6 +105,7 @@ def test_bad_datasets_give_one_clear_error_and_nothing_half_written(capsys, data
         (["--device", "cuda:7"], "--device cuda:7: not on this machine; there is cpu"),
         (["--frames", "9:12"], "--frames 9:12: selects none of the dataset's 6 frames"),
         (["--frames", "a:b"], "--frames a:b: expected START:STOP:STEP"),
+        (["--voxel-size", "nan"], "--voxel-size nan: expected a positive number"),
         (["--depth-max", "0.1"], "none of the 6 chosen frames has a valid depth"),
     ],
 )
@@ -113,6 +115,64 @@ def test_bad_options_give_one_clear_error(capsys, data, tmp_path, arguments, mes
     assert printed == ""
     assert message in errors
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--threshold", "nan"], "--threshold nan: expected a positive number"),
+        (["--threshold", "inf"], "--threshold inf: expected a positive number"),
+        (["--voxel-size", "-1", "--threshold", "0.1"], "--voxel-size -1: expected a positive number"),
+        (["--voxel-size", "0", "--threshold", "0.1"], "--voxel-size 0: expected a positive number"),
+        ([], "its voxel size is not known; give --voxel-size or --threshold"),
+    ],
+)
+def test_bad_thresholds_give_one_clear_error(capsys, tmp_path, arguments, message):
+    trimesh.creation.box().export(tmp_path / "box.ply")
+    code, printed, errors = run(capsys, "evaluate", tmp_path / "box.ply", tmp_path / "box.ply", *arguments)
+    assert code == 2
+    assert printed == ""
+    assert message in errors
+
+
+@pytest.mark.parametrize(
+    ("vertices", "faces", "message"),
+    [
+        ([[0, 0, 0], [1, 0, 0], [0, np.nan, 0]], [[0, 1, 2]], "a vertex is NaN or infinite"),
+        ([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 7]], "a triangle names a vertex that is not there"),
+        ([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, -1]], "a triangle names a vertex that is not there"),
+    ],
+)
+def test_meshes_that_make_no_sense_are_refused(capsys, tmp_path, vertices, faces, message):
+    header = f"ply\nformat ascii 1.0\nelement vertex {len(vertices)}\n" + "".join(
+        f"property float {axis}\n" for axis in "xyz"
+    )
+    body = "\n".join(" ".join(map(str, row)) for row in [*vertices, *([3, *face] for face in faces)])
+    path = tmp_path / "mesh.ply"
+    path.write_text(f"{header}element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n{body}\n")
+    code, _, errors = run(capsys, "evaluate", path, path, "--threshold", "0.1")
+    assert code == 2
+    assert f"mesh.ply: {message}" in errors
+
+
+@pytest.mark.parametrize(
+    ("key", "value"), [("depth_scale", float("inf")), ("depth_scale", 1e300), ("frame_count", 10**12), ("version", 9)]
+)
+def test_metadata_out_of_range_is_refused_by_its_key(capsys, data, tmp_path, key, value):
+    metadata = json.loads((data / "dataset.json").read_text())
+    (data / "dataset.json").write_text(json.dumps(metadata | {key: value}))
+    code, _, errors = run(capsys, "reconstruct", data, tmp_path / "out")
+    assert code == 2
+    assert f"dataset.json: {key}: expected" in errors
+
+
+def test_a_focal_length_of_no_camera_is_refused(capsys, data, tmp_path):
+    metadata = json.loads((data / "dataset.json").read_text())
+    metadata["intrinsics"]["fx"] = 1e-300
+    (data / "dataset.json").write_text(json.dumps(metadata))
+    code, _, errors = run(capsys, "reconstruct", data, tmp_path / "out")
+    assert code == 2
+    assert "fx 1e-300 for an image of 160 pixels" in errors
 
 
 def test_locating_needs_a_reconstruction(capsys, data, tmp_path):

@@ -5,7 +5,7 @@ from synthetic_scene import SphereScene, icosphere, write_dataset
 
 from datagen.dataset import open_dataset
 from datagen.errors import InputError
-from fusion.evaluate import evaluate, sample_surface
+from fusion.evaluate import Observers, evaluate, sample_surface
 from fusion.mesh import Mesh
 from fusion.observed_surface import observed_points
 from fusion.surface_distance import closest_points
@@ -106,8 +106,9 @@ def test_the_truth_is_culled_to_what_the_frames_saw(device, tmp_path):
     shape = trimesh.Trimesh(vertices, triangles)
     shape = part_of(shape, (shape.triangles_center - centre_m) @ direction > 0.2 * scene.radius)
     options = {"thresholds": (0.01,), "device": device}
+    seen = Observers(dataset=dataset, frame_ids=(0,))
     assert evaluate(mesh_of(shape), truth, **options)["completeness_m"] > 0.05
-    assert evaluate(mesh_of(shape), truth, observed_by=(dataset, (0,)), **options)["completeness_m"] < 0.002
+    assert evaluate(mesh_of(shape), truth, observed_by=seen, **options)["completeness_m"] < 0.002
 
 
 def test_a_truth_that_no_frame_sees_is_an_error(device, tmp_path):
@@ -115,5 +116,6 @@ def test_a_truth_that_no_frame_sees_is_an_error(device, tmp_path):
     dataset = open_dataset(write_dataset(tmp_path, [scene.frame(0, scene.poses_around(1)[0])]))
     elsewhere = trimesh.creation.icosphere(radius=0.1)
     elsewhere.apply_translation((50, 0, 0))
+    seen = Observers(dataset=dataset, frame_ids=(0,))
     with pytest.raises(InputError, match="see nothing of the ground truth"):
-        evaluate(mesh_of(elsewhere), mesh_of(elsewhere), thresholds=(0.1,), device=device, observed_by=(dataset, (0,)))
+        evaluate(mesh_of(elsewhere), mesh_of(elsewhere), thresholds=(0.1,), device=device, observed_by=seen)

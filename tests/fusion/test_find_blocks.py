@@ -4,6 +4,7 @@ from synthetic_scene import CAMERA as SCENE_CAMERA
 from synthetic_scene import SphereScene
 
 from datagen.camera import PinholeCamera
+from datagen.errors import InputError
 from datagen.rigid import inverse, look_at, transform_points
 from fusion.block_table import BlockTable
 from fusion.find_blocks import find_blocks
@@ -36,45 +37,67 @@ def rough_depth(rng):
     return depth.astype(np.float32)
 
 
+def blocks_found(frames, camera, device, *, voxel_size, truncation, table=None):
+    """Return the blocks that (depth, pose) frames add to a table, a new one by default."""
+    table = table or BlockTable(device=device, max_blocks=100_000, capacity=64)
+    before = table.count
+    depths, poses = zip(*frames, strict=True)
+    batch = FrameUploader(camera, device=device, capacity=len(frames))(depths, poses)
+    find_blocks(table, batch, truncation=truncation, voxel_size=voxel_size)
+    return {tuple(block) for block in table.blocks.numpy()[before : table.count]}
+
+
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize(("voxel_size", "voxels"), [(0.02, 3), (0.05, 2), (0.03, 7)])
 def test_no_block_of_the_truncation_band_is_missed(device, seed, voxel_size, voxels):
     rng = np.random.default_rng(seed)
-    poses = [look_at(rng.normal(size=3), rng.normal(size=3)) for _ in range(2)]
-    depths = [rough_depth(rng) for _ in poses]
-    truncation = voxels * voxel_size
-    batch = FrameUploader(CAMERA, device=device, capacity=2)(depths, poses)
-    table = BlockTable(device=device, max_blocks=100_000, capacity=64)
-    found = find_blocks(table, batch, truncation=truncation, voxel_size=voxel_size)
-    blocks = table.blocks.numpy()[found.numbers.numpy()]
-    masks = found.frame_masks.numpy()
-    for frame, (depth, pose) in enumerate(zip(depths, poses, strict=True)):
-        voxels_needed = band_voxels(depth, pose, voxel_size=voxel_size, truncation=truncation)
-        needed = {tuple(block) for block in np.unique(voxels_needed // 8, axis=0)}
-        given = {tuple(block) for block in blocks[masks >> frame & 1 == 1]}
-        assert needed
-        assert needed <= given
+    frames = [(rough_depth(rng), look_at(rng.normal(size=3), rng.normal(size=3))) for _ in range(2)]
+    lengths = {"voxel_size": voxel_size, "truncation": voxels * voxel_size}
+    given = blocks_found(frames, CAMERA, device, **lengths)
+    needed = {
+        tuple(block) for depth, pose in frames for block in np.unique(band_voxels(depth, pose, **lengths) // 8, axis=0)
+    }
+    assert needed
+    assert needed <= given
 
 
 def test_few_blocks_beside_the_band_are_taken_on_smooth_surfaces(device):
     frame = SphereScene().frames_around(4)[1]
-    batch = FrameUploader(SCENE_CAMERA, device=device)([frame.depth], [frame.world_from_camera])
-    found = find_blocks(BlockTable(device=device, max_blocks=10**5), batch, truncation=0.04, voxel_size=0.01)
-    voxels = band_voxels(frame.depth, frame.world_from_camera, voxel_size=0.01, truncation=0.04, camera=SCENE_CAMERA)
+    lengths = {"voxel_size": 0.01, "truncation": 0.04}
+    found = blocks_found([(frame.depth, frame.world_from_camera)], SCENE_CAMERA, device, **lengths)
+    voxels = band_voxels(frame.depth, frame.world_from_camera, camera=SCENE_CAMERA, **lengths)
     assert len(found) < 1.6 * len(np.unique(voxels // 8, axis=0))
 
 
 def test_found_blocks_depend_on_the_frames_alone(device):
-    scene = SphereScene(wall_z=-0.5)
-    frames = scene.frames_around(4)
-    upload = FrameUploader(SCENE_CAMERA, device=device)
+    frames = [(f.depth, f.world_from_camera) for f in SphereScene(wall_z=-0.5).frames_around(4)]
+    lengths = {"voxel_size": 0.01, "truncation": 0.04}
+    fresh = [blocks_found([frame], SCENE_CAMERA, device, **lengths) for frame in frames]
+    table = BlockTable(device=device, max_blocks=10**5)
+    one_by_one = [blocks_found([frame], SCENE_CAMERA, device, table=table, **lengths) for frame in frames]
+    assert set.union(*one_by_one) == set.union(*fresh)
+    assert blocks_found(frames, SCENE_CAMERA, device, **lengths) == set.union(*fresh)
 
-    def found_by(table, some):
-        batch = upload([f.depth for f in some], [f.world_from_camera for f in some])
-        found = find_blocks(table, batch, truncation=0.04, voxel_size=0.01)
-        return {tuple(block) for block in table.blocks.numpy()[found.numbers.numpy()]}
 
-    fresh = [found_by(BlockTable(device=device, max_blocks=10**5), [frame]) for frame in frames]
-    shared = BlockTable(device=device, max_blocks=10**5)
-    assert [found_by(shared, [frame]) for frame in frames] == fresh
-    assert found_by(BlockTable(device=device, max_blocks=10**5), frames) == set.union(*fresh)
+def test_frames_without_a_valid_depth_find_nothing(device):
+    empty = (np.zeros((CAMERA.height, CAMERA.width), np.float32), np.eye(4))
+    assert blocks_found([empty], CAMERA, device, voxel_size=0.01, truncation=0.04) == set()
+
+
+def test_a_stray_depth_asks_for_few_blocks(device):
+    depth = np.full((CAMERA.height, CAMERA.width), 1.0, np.float32)
+    lengths = {"voxel_size": 0.02, "truncation": 0.06}
+    clean = blocks_found([(depth, np.eye(4))], CAMERA, device, **lengths)
+    depth[20, 20] = 50.0
+    spoilt = blocks_found([(depth, np.eye(4))], CAMERA, device, **lengths)
+    assert clean <= spoilt
+    # A tile at 50 m is 10 m wide: 62 × 62 blocks of 16 cm, two to three deep.
+    assert len(spoilt - clean) < 3 * 70**2
+
+
+def test_surfaces_too_far_to_be_numbered_are_refused(device):
+    depth = np.full((CAMERA.height, CAMERA.width), 1.0, np.float32)
+    pose = np.eye(4)
+    pose[0, 3] = 9000.0
+    with pytest.raises(InputError, match=r"more than 8\.39e\+03 m from the world's origin"):
+        blocks_found([(depth, pose)], CAMERA, device, voxel_size=0.001, truncation=0.004)

@@ -1,3 +1,5 @@
+import dataclasses
+
 import numpy as np
 import pytest
 from synthetic_scene import CAMERA, SphereScene
@@ -7,23 +9,30 @@ from fusion.block_table import BLOCK_VOXELS
 from fusion.find_blocks import find_blocks
 from fusion.frame_batch import FrameUploader
 from fusion.integrate import integrate_blocks
+from fusion.marching_cubes import marching_cubes
+from fusion.visible_blocks import visible_blocks
 from fusion.volume import Volume
 
 VOXEL_SIZE, TRUNCATION = 0.02, 0.07
 SUMS = ("distance_sum", "weight", "color_sum", "color_weight")
 
 
-def fuse(frames, device, *, batch_size=32, order=None):
+def fuse(frames, device, *, batch_size=32, order=None, blocks_of=None):
+    """Integrate ``frames``, in batches, into the blocks that ``blocks_of`` (the same frames) touch."""
     volume = Volume(voxel_size=VOXEL_SIZE, truncation=TRUNCATION, device=device, max_blocks=10**5)
     upload = FrameUploader(CAMERA, device=device)
-    frames = [frames[i] for i in order] if order is not None else frames
-    for first in range(0, len(frames), batch_size):
-        some = frames[first : first + batch_size]
-        batch = upload([f.depth for f in some], [f.world_from_camera for f in some], [f.color for f in some])
-        found = find_blocks(volume.table, batch, truncation=TRUNCATION, voxel_size=VOXEL_SIZE)
-        volume.reserve(volume.table.count)
-        integrate_blocks(volume, batch, found)
+    for batch in batches(upload, blocks_of or frames, 32):
+        find_blocks(volume.table, batch, truncation=TRUNCATION, voxel_size=VOXEL_SIZE)
+    volume.reserve(volume.table.count)
+    for batch in batches(upload, [frames[i] for i in order] if order is not None else frames, batch_size):
+        integrate_blocks(volume, batch, visible_blocks(volume, batch))
     return volume
+
+
+def batches(upload, frames, size):
+    for first in range(0, len(frames), size):
+        some = frames[first : first + size]
+        yield upload([f.depth for f in some], [f.world_from_camera for f in some], [f.color for f in some])
 
 
 def by_block(volume):
@@ -34,7 +43,7 @@ def by_block(volume):
 
 
 def reference(frames, block):
-    """Equations (1) to (5) for one block's voxels, one frame after the other, as running averages in float64."""
+    """Equations (1) to (5) for one block's voxels: every frame, one after the other, as running averages in float64."""
     local = np.arange(BLOCK_VOXELS)
     lattice = 8 * np.array(block) + np.stack([local % 8, local // 8 % 8, local // 64], -1)
     distance, weight = np.ones(BLOCK_VOXELS), np.zeros(BLOCK_VOXELS)
@@ -68,17 +77,11 @@ def frames():
 
 
 def test_every_voxel_follows_the_papers_equations(device, frames):
-    upload = FrameUploader(CAMERA, device=device)
+    # Every frame has its say in every block: that frames are left out where they see nothing must not show.
     volume = fuse(frames, device)
-    touching = {}
-    for frame in frames:
-        batch = upload([frame.depth], [frame.world_from_camera])
-        found = find_blocks(volume.table, batch, truncation=TRUNCATION, voxel_size=VOXEL_SIZE)
-        for block in volume.table.blocks.numpy()[found.numbers.numpy()].tolist():
-            touching.setdefault(tuple(block), []).append(frame)
     compared = 0
     for block, sums in by_block(volume).items():
-        distance, weight, color, color_weight, clear = reference(touching[block], block)
+        distance, weight, color, color_weight, clear = reference(frames, block)
         np.testing.assert_array_equal(sums[clear, 1], weight[clear])
         np.testing.assert_array_equal(sums[clear, 5], color_weight[clear])
         seen, colored = clear & (weight > 0), clear & (color_weight > 0)
@@ -102,6 +105,28 @@ def test_the_order_of_the_frames_does_not_matter(device, frames):
     assert forwards.keys() == backwards.keys()
     for block, sums in forwards.items():
         np.testing.assert_allclose(backwards[block], sums, rtol=1e-5, atol=1e-5)
+
+
+def test_a_mistake_of_one_frame_is_outvoted_by_those_that_see_through_it(device):
+    clean = SphereScene(wall_z=-0.4).frames_around(12)[0]
+    spoilt = clean.depth.copy()
+    spoilt[50:62, 70:82] = 0.5
+    wrong = dataclasses.replace(clean, depth=spoilt)
+
+    def nearest_vertex(frames):
+        vertices = marching_cubes(fuse(frames, device)).vertices
+        return np.linalg.norm(vertices - clean.world_from_camera[:3, 3], axis=1).min()
+
+    assert nearest_vertex([wrong]) < 0.6
+    assert nearest_vertex([wrong, clean, clean]) > 0.6
+
+
+def test_a_batch_that_sees_nothing_changes_nothing(device, frames):
+    blind = dataclasses.replace(frames[0], depth=np.zeros_like(frames[0].depth))
+    with_blind, without = by_block(fuse([*frames, blind], device, batch_size=7)), by_block(fuse(frames, device))
+    assert with_blind.keys() == without.keys()
+    for block, sums in without.items():
+        np.testing.assert_array_equal(with_blind[block], sums)
 
 
 def test_a_voxel_that_no_frame_saw_keeps_weight_zero(device, frames):

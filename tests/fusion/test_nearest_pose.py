@@ -4,7 +4,7 @@ import trimesh
 
 from datagen.camera import PinholeCamera
 from datagen.errors import InputError
-from datagen.rigid import inverse, look_at, rotation_angle_deg
+from datagen.rigid import look_at
 from fusion.locate import pose_error
 from fusion.mesh import Mesh
 from fusion.nearest_pose import find_nearest_pose, view_surface
@@ -62,12 +62,12 @@ def test_a_view_between_two_is_nearest_to_the_closer(device, surface):
     fused = poses[::10]
     views = view_surface(surface, fused, CAMERA, device=device)
     for query in range(120):
-        if query % 10 == 5:
-            continue
+        offset = query % 10
+        if 3 < offset < 7:
+            continue  # nearly as close to one as to the other
         small = view_surface(surface, [poses[query]], CAMERA, device=device).depth.numpy()[0]
         nearest = find_nearest_pose(views, np.repeat(np.repeat(small, views.step, 0), views.step, 1))
-        angles = [rotation_angle_deg(inverse(pose) @ poses[query]) for pose in fused]
-        assert angles[nearest.index] <= 1.1 * min(angles) + 8, query
+        assert nearest.index == (query + 5) // 10 % 12, query
 
 
 def test_a_query_without_depth_is_an_error(device, surface):

@@ -87,7 +87,7 @@ def test_sizes_left_open_come_from_the_data(device, dataset, tmp_path):
 
 def test_held_out_frames_are_located_at_a_fused_pose(device, dataset, tmp_path):
     reconstruct(dataset, tmp_path, config(device, frames="::2"))
-    poses = locate(tmp_path, dataset, device=device.alias)
+    poses = locate(tmp_path, dataset, device=device.alias).poses
     written = json.loads((tmp_path / "poses.json").read_text())
     assert [pose["query"] for pose in written] == list(range(1, 40, 2))
     fused = {entry.frame: entry.world_from_camera for entry in read_record(tmp_path).trajectory}
@@ -125,13 +125,86 @@ def test_a_volume_that_does_not_fit_is_refused_with_the_size_that_does(
         ({"voxel_size": -0.01}, r"--voxel-size -0\.01: expected a positive"),
         ({"voxel_size": float("nan")}, r"--voxel-size nan"),
         ({"truncation": 0.0}, r"--truncation 0: expected a positive"),
-        ({"truncation": 0.005}, r"--truncation 0\.005: less than a voxel"),
+        ({"voxel_size": 1e-200}, r"--voxel-size 1e-200: .* from 1e-06"),
         ({"depth_max": float("inf")}, r"--depth-max inf"),
     ],
 )
 def test_lengths_that_make_no_volume_are_refused(device, options, message):
     with pytest.raises(InputError, match=message):
         config(device, **options)
+
+
+@pytest.mark.parametrize("truncation", [0.005, 5.0])
+def test_a_truncation_of_less_than_a_voxel_or_far_too_many_is_refused(device, dataset, tmp_path, truncation):
+    with pytest.raises(InputError, match=rf"--truncation {truncation:g}: expected 1 to 64 voxels of 0\.01 m"):
+        reconstruct(dataset, tmp_path / "out", config(device, truncation=truncation))
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_truncation_that_was_asked_for_stays_in_the_size_that_fits(device, dataset, tmp_path, monkeypatch):
+    monkeypatch.setattr(volume_memory, "free_memory", lambda _: 40_000_000)
+    options = {"frames": "::4", "truncation": 0.1}
+    with pytest.raises(InputError, match="fits") as error:
+        reconstruct(dataset, tmp_path / "out", config(device, voxel_size=0.002, **options))
+    fitting = float(str(error.value).split("; ")[1].split(" fits")[0])
+    reconstruct(dataset, tmp_path / "out", config(device, voxel_size=fitting, **options))
+
+
+def test_what_lies_beyond_depth_max_is_not_missed_in_the_metrics(device, tmp_path):
+    scene = SphereScene(wall_z=-0.6)
+    folder = write_dataset(tmp_path / "data", scene.frames_around(20), ground_truth_mesh="truth.ply")
+    vertices, triangles = icosphere(scene)
+    wall = trimesh.creation.box(
+        extents=(4, 4, 1e-6), transform=trimesh.transformations.translation_matrix((0, 0, -0.6))
+    )
+    trimesh.util.concatenate([trimesh.Trimesh(vertices, triangles), wall]).export(folder / "truth.ply")
+    record = reconstruct(open_dataset(folder), tmp_path / "out", config(device, voxel_size=0.02, depth_max=1.0)).record
+    assert record.metrics["completeness_voxels"] < 0.5
+
+
+@pytest.mark.parametrize("out", ["file", "file/below"])
+def test_an_output_that_is_no_folder_is_refused_before_the_work(device, dataset, tmp_path, out):
+    (tmp_path / "file").write_text("years of work")
+    with pytest.raises(InputError, match="file is a file, not a folder"):
+        reconstruct(dataset, tmp_path / out, config(device))
+    assert (tmp_path / "file").read_text() == "years of work"
+
+
+def test_a_broken_ground_truth_is_refused_before_the_work(device, tmp_path):
+    folder = write_dataset(tmp_path / "data", SCENE.frames_around(3), ground_truth_mesh="truth.ply")
+    with pytest.raises(InputError, match=r"truth\.ply: no such file"):
+        reconstruct(open_dataset(folder), tmp_path / "out", config(device))
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_camera_too_far_out_for_single_precision_is_refused(device, tmp_path):
+    frames = SphereScene(centre=(500_000, 0, 0)).frames_around(3)
+    data = open_dataset(write_dataset(tmp_path / "data", frames))
+    with pytest.raises(InputError, match=r"frame 0: the camera stands 5e\+05 m from the world's origin"):
+        reconstruct(data, tmp_path / "out", config(device))
+
+
+def test_a_query_needs_no_pose(device, dataset, tmp_path):
+    reconstruct(dataset, tmp_path / "out", config(device, frames="::2"))
+    known = locate(tmp_path / "out", dataset, frames="1:8:2", device=device.alias).poses
+    queries = open_dataset(write_dataset(tmp_path / "queries", SCENE.frames_around(40)))
+    for path in queries.frames_folder.glob("*.pose.txt"):
+        path.unlink()
+    found = locate(tmp_path / "out", queries, frames="1:8:2", device=device.alias).poses
+    assert [pose.nearest for pose in found] == [pose.nearest for pose in known]
+    written = json.loads((tmp_path / "out" / "poses.json").read_text())
+    assert not any("rotation_error_deg" in entry for entry in written)
+
+
+def test_a_query_without_depth_is_passed_over_with_its_reason(device, dataset, tmp_path):
+    reconstruct(dataset, tmp_path / "out", config(device, frames="::2"))
+    frames = SCENE.frames_around(3)
+    frames[1].depth[:] = 0
+    queries = open_dataset(write_dataset(tmp_path / "queries", frames))
+    located = locate(tmp_path / "out", queries, device=device.alias)
+    assert [pose.query for pose in located.poses] == [0, 2]
+    assert located.failures.keys() == {1}
+    assert "no pixel has a valid depth" in located.failures[1]
 
 
 def test_a_record_is_only_there_when_all_else_is(device, dataset, tmp_path, monkeypatch):

@@ -7,6 +7,7 @@ from fusion.find_blocks import find_blocks
 from fusion.frame_batch import FrameUploader
 from fusion.integrate import integrate_blocks
 from fusion.marching_cubes import marching_cubes
+from fusion.visible_blocks import visible_blocks
 from fusion.volume import Volume
 from fusion.volume_file import load_volume, save_volume
 
@@ -18,9 +19,9 @@ def volume(device):
     batch = FrameUploader(CAMERA, device=device)(
         [f.depth for f in frames], [f.world_from_camera for f in frames], [f.color for f in frames]
     )
-    found = find_blocks(volume.table, batch, truncation=0.06, voxel_size=0.02)
+    find_blocks(volume.table, batch, truncation=0.06, voxel_size=0.02)
     volume.reserve(volume.table.count)
-    integrate_blocks(volume, batch, found)
+    integrate_blocks(volume, batch, visible_blocks(volume, batch))
     return volume
 
 
