@@ -91,54 +91,58 @@ def open_every_complete_frame(folder):
     return len(complete)
 
 
-def kill_at(process, moment, folder, *, writers_too):
-    """SIGKILL the parent, and if wanted the workers, which write, after ``moment`` seconds.
+def wait_for_frame(process, folder, frame, *, being_written):
+    """Wait until ``frame`` frames are there, or if wanted until the files of the next one are being written."""
+    frames = folder / "frames"
+    while process.poll() is None:
+        names = os.listdir(frames) if frames.is_dir() else []
+        if sum(name.endswith(".pose.txt") for name in names) >= frame and not (being_written and len(names) % 3 == 0):
+            return
 
-    A negative moment counts from when that many frames are there; its fraction is a delay in tenths of a second.
-    """
-    deadline = time.monotonic() + (moment if moment >= 0 else 30)
-    while time.monotonic() < deadline and process.poll() is None:
-        if moment < 0 and len(list((folder / "frames").glob("*.pose.txt"))) >= int(-moment):
-            time.sleep((-moment % 1) / 10)
-            break
-        time.sleep(0.001)
-    with contextlib.suppress(psutil.NoSuchProcess):
-        children = psutil.Process(process.pid).children()
-        for child in children if writers_too else []:
-            child.kill()
-        process.send_signal(signal.SIGKILL)
-        process.wait()
-        return children
+
+def workers_of(process):
+    """Wait for the rendering processes of a run and return them."""
+    while process.poll() is None:
+        with contextlib.suppress(psutil.NoSuchProcess):
+            if workers := psutil.Process(process.pid).children():
+                return workers
     return []
 
 
 def test_a_render_killed_at_random_moments_resumes_to_the_same_bits(scene_file, uninterrupted, tmp_path):
     chance = random.Random(20241)
     out = tmp_path / "dataset"
-    early = [chance.uniform(0.2, 1.5)]
-    in_frames = [-frame - chance.random() for frame in sorted(chance.sample(range(1, FRAMES - 1), 7))]
     torn = 0
-    for i, moment in enumerate(early + in_frames):
+    for i, frame in enumerate([0, *sorted(chance.sample(range(1, FRAMES - 1), 6))]):
         with open(os.devnull, "w") as nowhere:
             process = subprocess.Popen(command(scene_file, out), cwd=CHECKOUT, stdout=nowhere, stderr=nowhere)
-            children = kill_at(process, moment, out, writers_too=i % 3 != 0)
-        open_every_complete_frame(out)
-        _, alive = psutil.wait_procs(children, timeout=20)
+        workers = workers_of(process)
+        if frame:
+            wait_for_frame(process, out, frame, being_written=i % 2 == 0)
+        if i % 2 == 0:  # the writer too, at once; else it may finish its frame
+            for worker in workers:
+                worker.send_signal(signal.SIGKILL)
+        else:
+            time.sleep(chance.uniform(0, 0.1))
+        process.kill()
+        process.wait()
+        _, alive = psutil.wait_procs(workers, timeout=20)
         assert not alive, "a worker outlived its parent"
         open_every_complete_frame(out)
-        torn += any(not open_dataset(out).is_complete(frame) for frame in begun_frames(out))
+        torn += bool(half_written(out))
+    assert torn, "no kill came while a frame was being written: the test has lost its sting"
     done = run(command(scene_file, out))
     assert done.returncode == 0, done.stderr
     resumed, straight = contents(out), contents(uninterrupted)
     assert resumed.keys() == straight.keys()
     assert [name for name in straight if resumed[name] != straight[name]] == []
-    print(f"{torn} of the kills left a frame half there")
 
 
-def begun_frames(folder):
-    """Return the frames of which some file is there, under its name or a temporary one."""
-    names = [path.name for path in (folder / "frames").glob("frame-*")] if (folder / "dataset.json").is_file() else []
-    return {int(name.split(".")[0].removeprefix("frame-")) for name in names}
+def half_written(folder):
+    """Return the names of temporary files, and of files whose frame is not whole."""
+    names = {path.name for path in (folder / "frames").glob("*")}
+    whole = {name.split(".")[0] for name in names if name.endswith(".pose.txt")}
+    return {name for name in names if name.split(".")[0] not in whole}
 
 
 def test_several_workers_write_the_same_bits(scene_file, uninterrupted, tmp_path):
