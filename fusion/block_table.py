@@ -20,9 +20,9 @@ COORDINATE_LIMIT = 1 << 20
 
 _EMPTY = wp.constant(wp.int64(-1))
 _LIMIT = wp.constant(COORDINATE_LIMIT)
-_FIELD_BITS = wp.constant(wp.int64(21))
-_GROUP_BITS = wp.constant(wp.int64(2))
-_FIELD_MASK = wp.constant(wp.int64((1 << 21) - 1))
+_COORDINATE_BITS = 21
+_FIELD_BITS = wp.constant(wp.int64(_COORDINATE_BITS))
+_FIELD_MASK = wp.constant(wp.int64((1 << _COORDINATE_BITS) - 1))
 
 
 class BlockLimitError(InputError):
@@ -50,28 +50,10 @@ def block_of_key(key: wp.int64) -> wp.vec3i:
 
 
 @wp.func
-def spread_bits(value: wp.int64) -> int:
-    """Return the lowest two bits of ``value``, apart by two zeros: bits 0 and 3."""
-    low = wp.int32(value & wp.int64(3))
-    return (low & 1) | ((low & 2) << 2)
-
-
-@wp.func
 def first_slot(key: wp.int64, capacity: int) -> int:
-    """Return where a key's probe begins; capacity is a power of two, 64 or more.
-
-    Groups of 4×4×4 blocks are scattered (Fibonacci hashing); within one, blocks follow each other in Morton order. So
-    blocks that are listed in the order of their slots come as neighbours, and find each other's pixels in the cache.
-    """
-    z = key & _FIELD_MASK
-    y = (key >> _FIELD_BITS) & _FIELD_MASK
-    x = key >> (_FIELD_BITS + _FIELD_BITS)
-    group = (
-        ((x >> _GROUP_BITS) << (_FIELD_BITS + _FIELD_BITS)) | ((y >> _GROUP_BITS) << _FIELD_BITS) | (z >> _GROUP_BITS)
-    )
-    mixed = wp.int32((wp.uint64(group) * wp.uint64(0x9E3779B97F4A7C15)) >> wp.uint64(33))
-    within = spread_bits(x) | (spread_bits(y) << 1) | (spread_bits(z) << 2)
-    return ((mixed << 6) | within) & (capacity - 1)
+    """Return where a key's probe begins (Fibonacci hashing); capacity is a power of two."""
+    mixed = wp.uint64(key) * wp.uint64(0x9E3779B97F4A7C15)
+    return wp.int32(mixed >> wp.uint64(33)) & (capacity - 1)
 
 
 @wp.func
@@ -112,17 +94,31 @@ def find_block(keys: wp.array(dtype=wp.int64), numbers: wp.array(dtype=int), blo
 
 
 @wp.kernel
-def _number_new_blocks(
+def _list_new_keys(
+    keys: wp.array(dtype=wp.int64),
+    numbers: wp.array(dtype=int),
+    new_keys: wp.array(dtype=wp.int64),
+    new_count: wp.array(dtype=int),
+) -> None:
+    slot = wp.tid()
+    if keys[slot] == _EMPTY:
+        return
+    if numbers[slot] < 0:
+        new_keys[wp.atomic_add(new_count, 0, 1)] = keys[slot]
+
+
+@wp.kernel
+def _number_keys(
+    new_keys: wp.array(dtype=wp.int64),
+    first_number: int,
     keys: wp.array(dtype=wp.int64),
     numbers: wp.array(dtype=int),
     blocks: wp.array(dtype=wp.vec3i),
-    block_count: wp.array(dtype=int),
 ) -> None:
-    slot = wp.tid()
-    if keys[slot] != _EMPTY and numbers[slot] < 0:
-        number = wp.atomic_add(block_count, 0, 1)
-        numbers[slot] = number
-        blocks[number] = block_of_key(keys[slot])
+    index = wp.tid()
+    key = new_keys[index]
+    numbers[find_slot(keys, key)] = first_number + index
+    blocks[first_number + index] = block_of_key(key)
 
 
 @wp.kernel
@@ -174,13 +170,24 @@ class BlockTable:
             wp.launch(_insert_numbered, dim=self.count, inputs=inputs, device=self.device)
 
     def number_new_blocks(self) -> None:
-        """Give every inserted key that has none the next block number; raises BlockLimitError past the bound."""
-        block_count = wp.array([self.count], dtype=int, device=self.device)
-        outputs = [self.numbers, self.blocks, block_count]
-        wp.launch(_number_new_blocks, dim=self.capacity, inputs=[self.keys], outputs=outputs, device=self.device)
-        self.count = int(block_count.numpy()[0])
-        if self.count > self.max_blocks:
+        """Give every inserted key that has none the next block number; raises BlockLimitError past the bound.
+
+        They are numbered in Morton order: neighbours in space are neighbours in memory, and the numbers do not depend
+        on which thread was first.
+        """
+        new_keys = wp.empty(self.capacity // 2, dtype=wp.int64, device=self.device)
+        new_count = wp.zeros(1, dtype=int, device=self.device)
+        inputs = [self.keys, self.numbers]
+        wp.launch(_list_new_keys, dim=self.capacity, inputs=inputs, outputs=[new_keys, new_count], device=self.device)
+        count = int(new_count.numpy()[0])
+        if self.count + count > self.max_blocks:
             raise BlockLimitError(f"the volume needs more than the {self.max_blocks:,} blocks that memory allows")
+        if count == 0:
+            return
+        in_order = wp.array(in_morton_order(new_keys[:count].numpy()), dtype=wp.int64, device=self.device)
+        inputs = [in_order, self.count, self.keys]
+        wp.launch(_number_keys, dim=count, inputs=inputs, outputs=[self.numbers, self.blocks], device=self.device)
+        self.count += count
 
     def adopt(self, blocks: NDArray[np.int32]) -> None:
         """Fill an empty table with block coordinates (n, 3), all different, numbered in their order."""
@@ -191,3 +198,15 @@ class BlockTable:
         self.count = len(blocks)
         inputs = [self.blocks, self.keys, self.numbers, self.key_count]
         wp.launch(_insert_numbered, dim=self.count, inputs=inputs, device=self.device)
+
+
+def in_morton_order(keys: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return block keys (n,) sorted so that blocks which are near in space are near in the list."""
+    code = np.zeros(len(keys), dtype=np.uint64)
+    bits = np.uint64(_COORDINATE_BITS)
+    fields = keys.astype(np.uint64)
+    for bit in range(_COORDINATE_BITS):
+        for axis in range(3):
+            field_bit = (fields >> (np.uint64(axis) * bits + np.uint64(bit))) & np.uint64(1)
+            code |= field_bit << np.uint64(3 * bit + axis)
+    return keys[np.argsort(code)]

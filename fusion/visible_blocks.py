@@ -124,15 +124,12 @@ def _mark_visible(
 
 @wp.kernel
 def _list_marked(
-    slot_numbers: wp.array(dtype=int),
     masks: wp.array(dtype=wp.uint32),
     listed_numbers: wp.array(dtype=int),
     listed_masks: wp.array(dtype=wp.uint32),
     listed_count: wp.array(dtype=int),
 ) -> None:
-    number = slot_numbers[wp.tid()]
-    if number < 0:
-        return
+    number = wp.tid()
     if masks[number] != wp.uint32(0):
         index = wp.atomic_add(listed_count, 0, 1)
         listed_numbers[index] = number
@@ -140,7 +137,7 @@ def _list_marked(
 
 
 def visible_blocks(volume: Volume, batch: FrameBatch) -> VisibleBlocks:
-    """Return the volume's blocks that the batch's frames may update, neighbours near each other in the list."""
+    """Return the volume's blocks that the batch's frames may update, in the order of their numbers."""
     table, camera, device = volume.table, batch.camera, volume.device
     if table.count == 0:
         return VisibleBlocks(
@@ -170,8 +167,8 @@ def visible_blocks(volume: Volume, batch: FrameBatch) -> VisibleBlocks:
     count = wp.zeros(1, dtype=int, device=device)
     wp.launch(
         _list_marked,
-        dim=table.capacity,
-        inputs=[table.numbers, masks],
+        dim=table.count,
+        inputs=[masks],
         outputs=[numbers, frame_masks, count],
         device=device,
     )

@@ -2,7 +2,15 @@ import numpy as np
 import pytest
 import warp as wp
 
-from fusion.block_table import COORDINATE_LIMIT, BlockLimitError, BlockTable, block_key, block_of_key, find_block
+from fusion.block_table import (
+    COORDINATE_LIMIT,
+    BlockLimitError,
+    BlockTable,
+    block_key,
+    block_of_key,
+    find_block,
+    in_morton_order,
+)
 
 
 @wp.kernel(module="unique")
@@ -48,6 +56,18 @@ def test_growing_loses_no_block_and_keeps_its_number(device):
     np.testing.assert_array_equal(look_up(table, blocks), np.arange(len(blocks)))
     table.grow()
     np.testing.assert_array_equal(look_up(table, blocks), np.arange(len(blocks)))
+
+
+def test_neighbours_in_morton_order_stay_together():
+    # All 512 blocks of an 8×8×8 cube, shuffled: each run of 8 in the order is a 2×2×2 cube.
+    side = np.arange(8)
+    blocks = np.stack(np.meshgrid(side, side, side), -1).reshape(-1, 3)
+    limit = COORDINATE_LIMIT
+    keys = ((blocks[:, 0] + limit) << 42) | ((blocks[:, 1] + limit) << 21) | (blocks[:, 2] + limit)
+    ordered = in_morton_order(np.random.default_rng(0).permutation(keys))
+    fields = np.stack([(ordered >> shift & (2**21 - 1)) - limit for shift in (42, 21, 0)], -1)
+    assert (np.ptp(fields.reshape(64, 8, 3), axis=1) == 1).all()
+    assert (np.ptp(fields.reshape(8, 64, 3), axis=1) == 3).all()
 
 
 def test_a_block_that_was_never_entered_is_not_found(device):
