@@ -1,5 +1,9 @@
 """Frame integration: the paper's equations (1) to (5), for every voxel of the blocks that the frames see.
 
+A frame changes a voxel where the pixel in front of it has a valid depth and d ≥ −t: farther behind the surface than the
+truncation nothing was seen, and the −1 of equation (2) would claim solid space there. In front, t_d is clipped to +1.
+Colour is taken where |d| ≤ t, near the surface that shows it. Each frame's weight w_new is 1.
+
 A thread takes a row of eight voxels along x through all frames of the batch that see its block; the sums stay in
 registers, so a voxel is read and written once a batch however many frames see it. Along the row the projection moves by
 a constant step. The row is written in C++, the same for CPU and CUDA, because its plain loops over eight lanes become
