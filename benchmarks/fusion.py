@@ -25,8 +25,9 @@ import trimesh
 sys.path[:] = [entry for entry in sys.path if Path(entry or ".").resolve() != Path(__file__).resolve().parent]
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from datagen.dataset import Frame, open_dataset
+from datagen.dataset import Frame
 from datagen.frame_selection import select_frames
+from datagen.open_dataset import open_dataset
 from datagen.rigid import inverse
 from fusion.devices import load_kernels, resolve_device
 from fusion.evaluate import evaluate

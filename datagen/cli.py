@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from datagen.dataset import open_dataset
 from datagen.dataset_summary import describe, summarise
 from datagen.errors import InputError, WorkerError
+from datagen.open_dataset import open_dataset
 from datagen.progress import on_terminal
 from datagen.render_job import DEVICES, render_dataset
 from datagen.scene_files import load_scene, shipped_scenes, with_render_settings

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.camera import PinholeCamera
-from datagen.dataset_format import FRAMES_FOLDER, METADATA_FILE, Metadata, frame_file, read_metadata
+from datagen.dataset_format import Metadata, frame_file
 from datagen.errors import InputError
 from datagen.images import read_color, read_depth
 from datagen.rigid import Matrix, rigid
@@ -99,29 +99,6 @@ class Dataset:
             )
 
 
-def open_dataset(folder: Path) -> Dataset:
-    """Open a dataset folder, its format told by what lies in it: ours, or a 7-Scenes sequence.
-
-    Raises InputError where the folder is missing, empty, or of no known format.
-    """
-    from datagen.seven_scenes import is_seven_scenes, open_seven_scenes  # noqa: PLC0415 - it builds a Dataset
-
-    if not folder.is_dir():
-        raise InputError(f"{folder}: no such folder; name the folder that holds {METADATA_FILE} or frame-*.pose.txt")
-    if (folder / METADATA_FILE).is_file():
-        return _open_scanback(folder)
-    if is_seven_scenes(folder):
-        return open_seven_scenes(folder)
-    sequences = sorted(path.parent.name for path in folder.glob("seq-*/frame-000000.*.txt"))
-    if sequences:
-        raise InputError(
-            f"{folder}: holds the sequences {', '.join(sequences)}; name one of them, {folder / sequences[0]}"
-        )
-    raise InputError(
-        f"{folder}: not a dataset: it holds neither {METADATA_FILE} nor 7-Scenes files (frame-000000.depth.png, …)"
-    )
-
-
 def read_pose(path: Path) -> Matrix:
     """Read a 4×4 pose from a text file; raises InputError where it is missing, malformed or not rigid."""
     try:
@@ -137,18 +114,3 @@ def read_pose(path: Path) -> Matrix:
     if values.size != 16:
         raise InputError(f"{path}: found {values.size} numbers, expected 16, a 4×4 world_from_camera matrix")
     return rigid(values.reshape(4, 4), source=str(path))
-
-
-def _open_scanback(folder: Path) -> Dataset:
-    metadata = read_metadata(folder)
-    mesh = folder / metadata.ground_truth_mesh if metadata.ground_truth_mesh else None
-    return Dataset(
-        folder=folder,
-        format_name="scanback",
-        frames_folder=folder / FRAMES_FOLDER,
-        frame_ids=tuple(range(metadata.frame_count)),
-        camera=metadata.intrinsics.camera,
-        depth_scale=metadata.depth_scale,
-        ground_truth_mesh=mesh,
-        metadata=metadata,
-    )

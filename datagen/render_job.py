@@ -10,7 +10,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from datagen.atomic_write import TEMPORARY_PREFIX, remove_unfinished
-from datagen.dataset import Dataset, open_dataset
+from datagen.dataset import Dataset
 from datagen.dataset_format import (
     FRAMES_FOLDER,
     GROUND_TRUTH_FILE,
@@ -21,6 +21,7 @@ from datagen.dataset_format import (
     write_metadata,
 )
 from datagen.errors import InputError
+from datagen.open_dataset import open_dataset
 from datagen.progress import ProgressReporter, silent
 from datagen.render_workers import Job, Report, Task, render_workers
 from datagen.scene_spec import Scene

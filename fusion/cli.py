@@ -10,9 +10,9 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from datagen.dataset import open_dataset
 from datagen.errors import InputError
 from datagen.frame_selection import select_frames
+from datagen.open_dataset import open_dataset
 from datagen.progress import on_terminal
 from fusion.devices import resolve_device
 from fusion.evaluate import Observers, evaluate

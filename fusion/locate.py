@@ -25,7 +25,7 @@ from fusion.reconstruction_files import (
 )
 from fusion.volume_file import load_volume
 
-KERNEL_MODULES = ("fusion.block_table", "fusion.marching_cubes", "fusion.nearest_pose")
+KERNEL_MODULES = ("fusion.block_table", "fusion.cells", "fusion.marching_cubes", "fusion.nearest_pose")
 
 
 @dataclass(frozen=True, kw_only=True)

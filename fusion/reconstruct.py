@@ -40,6 +40,7 @@ KERNEL_MODULES = (
     "fusion.find_blocks",
     "fusion.visible_blocks",
     "fusion.integrate",
+    "fusion.cells",
     "fusion.marching_cubes",
 )
 

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from blender_addon.headless.overview_camera import overview_direction
 from blender_addon.reconstruction_files import Reconstruction
-from datagen.dataset import open_dataset
 from datagen.errors import InputError
 from datagen.images import write_color
+from datagen.open_dataset import open_dataset
 from datagen.rigid import Matrix
 
 BACKGROUND = 245

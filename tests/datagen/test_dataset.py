@@ -3,12 +3,13 @@ import json
 import numpy as np
 import pytest
 
-from datagen.dataset import open_dataset, read_pose
+from datagen.dataset import read_pose
 from datagen.dataset_format import Intrinsics, Metadata, write_metadata
 from datagen.dataset_summary import describe, summarise
 from datagen.dataset_writer import write_frame, write_pose
 from datagen.errors import InputError
 from datagen.images import write_color
+from datagen.open_dataset import open_dataset
 from datagen.rigid import look_at
 
 

@@ -16,8 +16,8 @@ import pytest
 
 import datagen
 from datagen import render_workers
-from datagen.dataset import open_dataset
 from datagen.errors import InputError, WorkerError
+from datagen.open_dataset import open_dataset
 from datagen.render_job import render_dataset
 
 CHECKOUT = Path(datagen.__file__).parents[1]

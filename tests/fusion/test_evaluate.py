@@ -3,8 +3,8 @@ import pytest
 import trimesh
 from synthetic_scene import SphereScene, icosphere, write_dataset
 
-from datagen.dataset import open_dataset
 from datagen.errors import InputError
+from datagen.open_dataset import open_dataset
 from fusion.evaluate import Observers, evaluate, sample_surface
 from fusion.mesh import Mesh
 from fusion.observed_surface import observed_points

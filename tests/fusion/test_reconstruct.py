@@ -5,8 +5,8 @@ import pytest
 import trimesh
 from synthetic_scene import SphereScene, icosphere, write_dataset
 
-from datagen.dataset import open_dataset
 from datagen.errors import InputError
+from datagen.open_dataset import open_dataset
 from fusion import volume_memory
 from fusion.locate import locate
 from fusion.reconstruct import reconstruct
