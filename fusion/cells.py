@@ -24,7 +24,7 @@ INSIDE = wp.constant(wp.uint8(2))
 
 @dataclass(frozen=True, kw_only=True)
 class CaseTables:
-    """The marching cubes table on a device: ``edge_corners`` (12, 2), ``triangle_counts`` (256,), ``triangle_edges``."""
+    """The marching cubes table on a device: ``edge_corners`` (12, 2), counts and edges of the 256 cases."""
 
     edge_corners: wp.array
     triangle_counts: wp.array

@@ -65,7 +65,7 @@ def test_a_missing_pose_is_named(folder):
     with pytest.raises(InputError, match=r"frame-000001.pose.txt.*missing"):
         dataset.frame(1)
     with pytest.raises(InputError, match=r"frame-000001.pose.txt.*1 of the 3"):
-        dataset.require_complete(dataset.frame_ids)
+        dataset.require(dataset.frame_ids)
 
 
 @pytest.mark.parametrize(
