@@ -23,73 +23,132 @@ _SIDE = wp.constant(float(BLOCK_SIDE))
 _FAR = wp.constant(3.0e38)
 
 
+@wp.struct
+class Piece:
+    """A convex piece of a tile's frustum, in the world, and how far a block's voxel centres reach across its planes.
+
+    The four side planes pass through ``origin``, the camera; n · (p − origin) ≤ 0 inside. Along ``axis`` it spans
+    [near, far]. ``low`` and ``high`` are the corners of the box around it.
+    """
+
+    origin: wp.vec3
+    axis: wp.vec3
+    left: wp.vec3
+    right: wp.vec3
+    top: wp.vec3
+    bottom: wp.vec3
+    near: float
+    far: float
+    half: float
+    low: wp.vec3
+    high: wp.vec3
+
+
 @wp.func
-def enter_piece(
-    world_from_camera: wp.mat44,
-    corners: wp.vec4,  # x/z at the tile's left and right, y/z at its top and bottom
-    near: float,
-    far: float,
-    voxel_size: float,
-    keys: wp.array(dtype=wp.int64),
-    key_count: wp.array(dtype=int),
-) -> int:
-    """Enter every block with a voxel centre in one frustum piece; returns 0, or what stands in the way."""
-    rotation = wp.mat33(
-        world_from_camera[0, 0], world_from_camera[0, 1], world_from_camera[0, 2],
-        world_from_camera[1, 0], world_from_camera[1, 1], world_from_camera[1, 2],
-        world_from_camera[2, 0], world_from_camera[2, 1], world_from_camera[2, 2],
-    )  # fmt: skip
-    origin = wp.vec3(world_from_camera[0, 3], world_from_camera[1, 3], world_from_camera[2, 3])
+def piece_of_tile(pose: wp.mat44, edges: wp.vec4, near: float, far: float, voxel_size: float) -> Piece:
+    """Return the piece between depths ``near`` and ``far``; ``edges`` are the tile's x/z left, right, y/z top,
+    bottom.
+    """
+    piece = Piece()
+    piece.origin = wp.transform_point(pose, wp.vec3(0.0, 0.0, 0.0))
+    piece.axis = wp.transform_vector(pose, wp.vec3(0.0, 0.0, 1.0))
+    piece.left = wp.transform_vector(pose, wp.vec3(-1.0, 0.0, edges[0]))
+    piece.right = wp.transform_vector(pose, wp.vec3(1.0, 0.0, -edges[1]))
+    piece.top = wp.transform_vector(pose, wp.vec3(0.0, -1.0, edges[2]))
+    piece.bottom = wp.transform_vector(pose, wp.vec3(0.0, 1.0, -edges[3]))
+    piece.near = near
+    piece.far = far
+    # Half the distance between a block's outer voxel centres, a little more against rounding.
+    piece.half = 0.5 * (_SIDE - 1.0) * voxel_size * 1.0001
     low = wp.vec3(_FAR, _FAR, _FAR)
     high = -low
     for corner in range(8):
         z = wp.where(corner & 4, far, near)
-        x = wp.where(corner & 1, corners[1], corners[0]) * z
-        y = wp.where(corner & 2, corners[3], corners[2]) * z
-        point = rotation * wp.vec3(x, y, z) + origin
+        x = wp.where(corner & 1, edges[1], edges[0]) * z
+        y = wp.where(corner & 2, edges[3], edges[2]) * z
+        point = wp.transform_point(pose, wp.vec3(x, y, z))
         low = wp.min(low, point)
         high = wp.max(high, point)
+    piece.low = low
+    piece.high = high
+    return piece
 
-    # The side planes pass through the camera; n · p ≤ 0 inside. Near and far are z bounds.
-    side0 = rotation * wp.vec3(-1.0, 0.0, corners[0])
-    side1 = rotation * wp.vec3(1.0, 0.0, -corners[1])
-    side2 = rotation * wp.vec3(0.0, -1.0, corners[2])
-    side3 = rotation * wp.vec3(0.0, 1.0, -corners[3])
-    axis = rotation * wp.vec3(0.0, 0.0, 1.0)
-    half = 0.5 * (_SIDE - 1.0) * voxel_size * 1.0001
-    reach0 = half * (wp.abs(side0[0]) + wp.abs(side0[1]) + wp.abs(side0[2]))
-    reach1 = half * (wp.abs(side1[0]) + wp.abs(side1[1]) + wp.abs(side1[2]))
-    reach2 = half * (wp.abs(side2[0]) + wp.abs(side2[1]) + wp.abs(side2[2]))
-    reach3 = half * (wp.abs(side3[0]) + wp.abs(side3[1]) + wp.abs(side3[2]))
-    reach_z = half * (wp.abs(axis[0]) + wp.abs(axis[1]) + wp.abs(axis[2]))
 
+@wp.func
+def reach(half: float, normal: wp.vec3) -> float:
+    """Return how far a cube with sides of 2 ``half`` extends from its middle along ``normal``."""
+    return half * (wp.abs(normal[0]) + wp.abs(normal[1]) + wp.abs(normal[2]))
+
+
+@wp.func
+def touches(piece: Piece, middle: wp.vec3) -> bool:
+    """Tell whether the cube of voxel centres around ``middle`` may come into the piece; never no where it does."""
+    offset = middle - piece.origin
+    z = wp.dot(piece.axis, offset)
+    reach_z = reach(piece.half, piece.axis)
+    return (
+        z - reach_z <= piece.far
+        and z + reach_z >= piece.near
+        and wp.dot(piece.left, offset) <= reach(piece.half, piece.left)
+        and wp.dot(piece.right, offset) <= reach(piece.half, piece.right)
+        and wp.dot(piece.top, offset) <= reach(piece.half, piece.top)
+        and wp.dot(piece.bottom, offset) <= reach(piece.half, piece.bottom)
+    )
+
+
+@wp.func
+def enter_piece(piece: Piece, voxel_size: float, keys: wp.array(dtype=wp.int64), key_count: wp.array(dtype=int)) -> int:
+    """Enter every block with a voxel centre in the piece; returns 0, or what stands in the way."""
     side = _SIDE * voxel_size
     margin = 1.0e-3
-    first_x = int(wp.ceil((low[0] + voxel_size) / side - 1.0 - margin))
-    first_y = int(wp.ceil((low[1] + voxel_size) / side - 1.0 - margin))
-    first_z = int(wp.ceil((low[2] + voxel_size) / side - 1.0 - margin))
-    last_x = int(wp.floor(high[0] / side + margin))
-    last_y = int(wp.floor(high[1] / side + margin))
-    last_z = int(wp.floor(high[2] / side + margin))
-    for bx in range(first_x, last_x + 1):
-        for by in range(first_y, last_y + 1):
-            for bz in range(first_z, last_z + 1):
-                centre = side * wp.vec3(float(bx), float(by), float(bz)) + wp.vec3(half, half, half) - origin
-                z = wp.dot(axis, centre)
-                if (
-                    z - reach_z <= far
-                    and z + reach_z >= near
-                    and wp.dot(side0, centre) <= reach0
-                    and wp.dot(side1, centre) <= reach1
-                    and wp.dot(side2, centre) <= reach2
-                    and wp.dot(side3, centre) <= reach3
-                ):
-                    key = block_key(wp.vec3i(bx, by, bz))
+    first_x = int(wp.ceil((piece.low[0] + voxel_size) / side - 1.0 - margin))
+    first_y = int(wp.ceil((piece.low[1] + voxel_size) / side - 1.0 - margin))
+    first_z = int(wp.ceil((piece.low[2] + voxel_size) / side - 1.0 - margin))
+    last_x = int(wp.floor(piece.high[0] / side + margin))
+    last_y = int(wp.floor(piece.high[1] / side + margin))
+    last_z = int(wp.floor(piece.high[2] / side + margin))
+    for x in range(first_x, last_x + 1):
+        for y in range(first_y, last_y + 1):
+            for z in range(first_z, last_z + 1):
+                middle = side * wp.vec3(float(x), float(y), float(z)) + wp.vec3(piece.half, piece.half, piece.half)
+                if touches(piece, middle):
+                    key = block_key(wp.vec3i(x, y, z))
                     if key < wp.int64(0):
                         return _OUT_OF_RANGE
                     if not insert_key(keys, key, key_count):
                         return _TABLE_FULL
     return 0
+
+
+@wp.func
+def depth_ranges(depth: wp.array3d(dtype=float), frame: int, u0: int, v0: int, split_beyond: float) -> wp.vec4:
+    """Return [nearest, farthest] of a tile's near pixels and of its far ones; an empty range begins at _FAR.
+
+    All are near unless their depths span more than ``split_beyond``.
+    """
+    u1 = wp.min(u0 + _TILE, depth.shape[2])
+    v1 = wp.min(v0 + _TILE, depth.shape[1])
+    nearest = float(_FAR)
+    farthest = float(0.0)
+    for v in range(v0, v1):
+        for u in range(u0, u1):
+            z = depth[frame, v, u]
+            if z > 0.0:
+                nearest = wp.min(nearest, z)
+                farthest = wp.max(farthest, z)
+    if farthest - nearest <= split_beyond:
+        return wp.vec4(nearest, farthest, _FAR, 0.0)
+    middle = 0.5 * (nearest + farthest)
+    near_end = float(0.0)
+    far_begin = float(_FAR)
+    for v in range(v0, v1):
+        for u in range(u0, u1):
+            z = depth[frame, v, u]
+            if z > middle:
+                far_begin = wp.min(far_begin, z)
+            elif z > 0.0:
+                near_end = wp.max(near_end, z)
+    return wp.vec4(nearest, near_end, far_begin, farthest)
 
 
 @wp.kernel
@@ -106,55 +165,23 @@ def _enter_blocks(
     frame, tile_v, tile_u = wp.tid()
     if problems[0] != 0:
         return
-    height = depth.shape[1]
-    width = depth.shape[2]
     u0 = tile_u * _TILE
     v0 = tile_v * _TILE
-    u1 = wp.min(u0 + _TILE, width)
-    v1 = wp.min(v0 + _TILE, height)
-    z_min = float(_FAR)
-    z_max = float(0.0)
-    for v in range(v0, v1):
-        for u in range(u0, u1):
-            z = depth[frame, v, u]
-            if z > 0.0:
-                z_min = wp.min(z_min, z)
-                z_max = wp.max(z_max, z)
-    if z_max == 0.0:
-        return
-
-    # The largest depth of the near pixels and the smallest of the far ones.
-    split = 0.5 * (z_min + z_max)
-    near_max = z_max
-    far_min = float(_FAR)
-    if z_max - z_min > 2.0 * truncation:
-        near_max = z_min
-        for v in range(v0, v1):
-            for u in range(u0, u1):
-                z = depth[frame, v, u]
-                if z > 0.0:
-                    if z <= split:
-                        near_max = wp.max(near_max, z)
-                    else:
-                        far_min = wp.min(far_min, z)
-
     # A pixel's footprint reaches half a pixel beyond its centre; a little more covers rounding in the projection.
     border = 0.51
-    corners = wp.vec4(
+    edges = wp.vec4(
         (float(u0) - border - intrinsics[2]) / intrinsics[0],
-        (float(u1 - 1) + border - intrinsics[2]) / intrinsics[0],
+        (float(u0 + _TILE - 1) + border - intrinsics[2]) / intrinsics[0],
         (float(v0) - border - intrinsics[3]) / intrinsics[1],
-        (float(v1 - 1) + border - intrinsics[3]) / intrinsics[1],
+        (float(v0 + _TILE - 1) + border - intrinsics[3]) / intrinsics[1],
     )
-    slack = 1.0e-4 * truncation
-    pose = world_from_camera[frame]
-    for piece in range(2):
-        near = wp.where(piece == 0, z_min, far_min)
-        far = wp.where(piece == 0, near_max, z_max)
-        if near < _FAR:
-            near = wp.max(near - truncation - slack, 1.0e-6)
-            far = far + truncation + slack
-            problem = enter_piece(pose, corners, near, far, voxel_size, keys, key_count)
+    band = 1.0001 * truncation
+    ranges = depth_ranges(depth, frame, u0, v0, 2.0 * truncation)
+    for i in range(2):
+        if ranges[2 * i] < _FAR:
+            near = wp.max(ranges[2 * i] - band, 1.0e-6)
+            piece = piece_of_tile(world_from_camera[frame], edges, near, ranges[2 * i + 1] + band, voxel_size)
+            problem = enter_piece(piece, voxel_size, keys, key_count)
             if problem != 0:
                 problems[0] = problem
 
