@@ -46,8 +46,9 @@ class Piece:
 
 @wp.func
 def piece_of_tile(pose: wp.mat44, edges: wp.vec4, near: float, far: float, voxel_size: float) -> Piece:
-    """Return the piece between depths ``near`` and ``far``; ``edges`` are the tile's x/z left, right, y/z top,
-    bottom.
+    """Return the piece between depths ``near`` and ``far``.
+
+    ``edges`` are x/z at the tile's left and right and y/z at its top and bottom.
     """
     piece = Piece()
     piece.origin = wp.transform_point(pose, wp.vec3(0.0, 0.0, 0.0))
