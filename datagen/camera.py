@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from datagen.errors import InputError
 
 LARGEST_FOCAL_RATIO = 1000.0
-"""Between a focal length and the image's side; beyond it, no lens is meant."""
+"""Between a focal length and the image's longer side; beyond it, no lens is meant."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,11 +30,13 @@ class PinholeCamera:
         """Refuse intrinsics that no camera has."""
         if self.width < 1 or self.height < 1:
             raise InputError(f"camera: image size {self.width}×{self.height}, expected at least 1×1")
-        for name, focal, side in (("fx", self.fx, self.width), ("fy", self.fy, self.height)):
-            if not side / LARGEST_FOCAL_RATIO <= focal <= side * LARGEST_FOCAL_RATIO:
+        side = max(self.width, self.height)
+        least, most = side / LARGEST_FOCAL_RATIO, side * LARGEST_FOCAL_RATIO
+        for name, focal in (("fx", self.fx), ("fy", self.fy)):
+            if not least <= focal <= most:
                 raise InputError(
-                    f"camera: {name} {focal:g} for an image of {side} pixels, expected "
-                    f"{side / LARGEST_FOCAL_RATIO:g} to {side * LARGEST_FOCAL_RATIO:g}; focal lengths are in pixels"
+                    f"camera: {name} {focal:g} for an image of {self.width}×{self.height} pixels, expected {least:g} to "
+                    f"{most:g}; focal lengths are in pixels"
                 )
         if not np.isfinite([self.cx, self.cy]).all():
             raise InputError(f"camera: cx {self.cx}, cy {self.cy}; expected finite numbers")

@@ -46,7 +46,8 @@ def read_intrinsics(scene: bpy.types.Scene) -> PinholeCamera:
             y=height,
             scale_x=scene.render.pixel_aspect_x,
             scale_y=scene.render.pixel_aspect_y,
-        )
+        ),
+        dtype=np.float64,
     )
     return PinholeCamera.from_corner_origin(
         width=width,

@@ -172,7 +172,7 @@ def test_a_focal_length_of_no_camera_is_refused(capsys, data, tmp_path):
     (data / "dataset.json").write_text(json.dumps(metadata))
     code, _, errors = run(capsys, "reconstruct", data, tmp_path / "out")
     assert code == 2
-    assert "fx 1e-300 for an image of 160 pixels" in errors
+    assert "fx 1e-300 for an image of 160×120 pixels" in errors
 
 
 def test_locating_needs_a_reconstruction(capsys, data, tmp_path):

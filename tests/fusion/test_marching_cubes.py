@@ -5,6 +5,7 @@ import pytest
 import skimage.measure
 import trimesh
 import warp as wp
+from scipy.spatial import KDTree
 
 from fusion.block_table import BLOCK_VOXELS
 from fusion.marching_cubes import marching_cubes
@@ -80,21 +81,13 @@ def test_it_agrees_with_scikit_image_on_a_smooth_field(device):
     x, y, z = np.moveaxis(lattice(33) / 32 * 2 * np.pi, -1, 0)
     field = np.sin(x) * np.cos(y) + np.sin(y) * np.cos(z) + np.sin(z) * np.cos(x) + 0.05
     mesh = marching_cubes(volume_of(field, device))
-    expected, _, _, _ = skimage.measure.marching_cubes(field.astype(np.float32), 0.0)
+    expected, faces, _, _ = skimage.measure.marching_cubes(field.astype(np.float32), 0.0)
     ours, theirs = (np.unique(np.round(vertices, 3), axis=0) for vertices in (mesh.vertices, expected))
     assert len(mesh.vertices) == len(ours)
-    distance, _ = trimesh.proximity.KDTree(theirs).query(ours) if hasattr(trimesh.proximity, "KDTree") else (None, None)
-    if distance is None:
-        from scipy.spatial import KDTree
-
-        distance = KDTree(theirs).query(ours)[0]
+    distance, _ = KDTree(theirs).query(ours)
     assert distance.max() < 2e-3
     assert abs(len(ours) - len(theirs)) <= 0.001 * len(theirs)
-    assert as_trimesh(mesh).area == pytest.approx(skimage.measure.mesh_surface_area(expected, _faces(field)), rel=2e-3)
-
-
-def _faces(field):
-    return skimage.measure.marching_cubes(field.astype(np.float32), 0.0)[1]
+    assert as_trimesh(mesh).area == pytest.approx(skimage.measure.mesh_surface_area(expected, faces), rel=2e-3)
 
 
 def test_vertices_converge_with_the_square_of_the_voxel_size(device):
