@@ -35,8 +35,8 @@ class PinholeCamera:
         for name, focal in (("fx", self.fx), ("fy", self.fy)):
             if not least <= focal <= most:
                 raise InputError(
-                    f"camera: {name} {focal:g} for an image of {self.width}×{self.height} pixels, expected {least:g} to "
-                    f"{most:g}; focal lengths are in pixels"
+                    f"camera: {name} {focal:g} for an image of {self.width}×{self.height} pixels, expected {least:g}"
+                    f" to {most:g}; focal lengths are in pixels"
                 )
         if not np.isfinite([self.cx, self.cy]).all():
             raise InputError(f"camera: cx {self.cx}, cy {self.cy}; expected finite numbers")
