@@ -22,7 +22,7 @@ def test_there_are_kernels_to_compile():
 
 
 @pytest.mark.parametrize("module", kernel_modules(), ids=lambda module: module.__name__)
-@pytest.mark.parametrize("architecture", [75, 90])
+@pytest.mark.parametrize("architecture", [75, 80, 90])
 def test_kernels_compile_for_cuda(module, architecture, tmp_path):
     wp.compile_aot_module(module, arch=architecture, use_ptx=True, module_dir=str(tmp_path))
     assert any(path.suffix == ".ptx" for path in tmp_path.rglob("*"))
