@@ -13,7 +13,7 @@ from datagen.errors import InputError
 from datagen.progress import ProgressReporter, silent
 
 Device: TypeAlias = Any
-"""A Warp device; Warp's own class is not typed."""
+"""A Warp device; the type checker passes Warp over."""
 
 
 def resolve_device(name: str) -> Device:

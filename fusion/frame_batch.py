@@ -61,8 +61,8 @@ class FrameUploader:
         self.camera = camera
         self.device = device
         shape = (capacity, camera.height, camera.width)
-        self._host_depth = wp.zeros(shape, dtype=float, device="cpu", pinned=device.is_cuda)
-        self._host_color = wp.zeros(shape, dtype=wp.uint32, device="cpu", pinned=device.is_cuda)
+        self._host_depth = wp.empty(shape, dtype=float, device="cpu", pinned=device.is_cuda)
+        self._host_color = wp.empty(shape, dtype=wp.uint32, device="cpu", pinned=device.is_cuda)
         # On the CPU the kernels read the host buffers themselves.
         self._depth = wp.empty_like(self._host_depth, device=device) if device.is_cuda else self._host_depth
         self._color = wp.empty_like(self._host_color, device=device) if device.is_cuda else self._host_color
@@ -86,7 +86,8 @@ class FrameUploader:
             cv2.cvtColor(color, cv2.COLOR_RGB2RGBA, dst=color_rows[i].view(np.uint8).reshape(height, width, 4))
         if self.device.is_cuda:
             wp.copy(self._depth, self._host_depth)
-            wp.copy(self._color, self._host_color)
+            if colors is not None:
+                wp.copy(self._color, self._host_color)
             # The next call fills the host buffers anew.
             wp.synchronize_device(self.device)
         return FrameBatch(

@@ -30,12 +30,11 @@ LARGEST_DIFFERENCE = 0.1
 class SurfaceViews:
     """The model's surface from each candidate pose.
 
-    ``depth`` (candidates, height, width) planar metres, 0 where there is no surface, on a device; ``camera`` its
-    pinhole; ``step`` the query's pixels to one of these.
+    ``depth`` (candidates, height, width) planar metres, 0 where there is no surface, on a device; ``step`` is
+    the query's pixels to one of these.
     """
 
     depth: wp.array
-    camera: PinholeCamera
     step: int
 
 
@@ -118,7 +117,7 @@ def view_surface(surface: Mesh, candidates: list[Matrix], camera: PinholeCamera,
         outputs=[depth],
         device=device,
     )
-    return SurfaceViews(depth=depth, camera=small, step=step)
+    return SurfaceViews(depth=depth, step=step)
 
 
 def find_nearest_pose(views: SurfaceViews, depth: NDArray[np.float32]) -> NearestPose:

@@ -99,7 +99,7 @@ def may_see(
 def _mark_visible(
     first: int,
     blocks: wp.array(dtype=wp.vec3i),
-    camera_from_voxel: wp.array(dtype=wp.mat44),
+    camera_from_lattice: wp.array(dtype=wp.mat44),
     intrinsics: wp.vec4,
     voxel_size: float,
     truncation: float,
@@ -115,8 +115,8 @@ def _mark_visible(
     # The ball around the voxel centres, a little larger against rounding.
     radius = 1.7325 * half * voxel_size
     mask = wp.uint32(0)
-    for frame in range(camera_from_voxel.shape[0]):
-        point = wp.transform_point(camera_from_voxel[frame], middle)
+    for frame in range(camera_from_lattice.shape[0]):
+        point = wp.transform_point(camera_from_lattice[frame], middle)
         if may_see(point, radius, intrinsics, truncation, frame, width, height, farthest):
             mask = mask | (wp.uint32(1) << wp.uint32(frame))
     masks[number] = mask

@@ -65,9 +65,8 @@ def load_volume(path: Path, *, device: Device) -> Volume:
             raise
         raise InputError(f"{path}: damaged, or not a volume ({error}); reconstruct it again") from error
     volume.table.adopt(blocks)
-    volume.reserve(len(blocks))
     for name in _SUMS:
-        array = getattr(volume, name)
-        # One after the other, so that a volume is never in memory twice; on the CPU without a copy on the way.
-        wp.copy(array, wp.array(sums.pop(name), dtype=array.dtype, device=device, copy=False))
+        # The arrays that were read become the volume's own, so that it is never in memory twice.
+        dtype = getattr(volume, name).dtype
+        setattr(volume, name, wp.array(sums.pop(name), dtype=dtype, device=device, copy=False))
     return volume
