@@ -11,6 +11,7 @@ import warp as wp
 from fusion.block_table import BLOCK_SIDE, BLOCK_VOXELS, find_block
 from fusion.devices import launch_in_slabs
 from fusion.volume import Volume
+from fusion.voxels import Voxels, distance_of, weight_of
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
@@ -72,14 +73,13 @@ def voxel_index(neighbours: wp.array2d(dtype=int), number: int, x: int, y: int, 
 @wp.kernel
 def _voxel_states(
     first: int,
-    distance_sum: wp.array(dtype=float),
-    weight: wp.array(dtype=float),
+    voxels: Voxels,
     states: wp.array(dtype=wp.uint8),
 ) -> None:
     voxel = wp.tid() + first
     state = UNSEEN
-    if weight[voxel] > 0.0:
-        state = wp.where(distance_sum[voxel] < 0.0, INSIDE, OUTSIDE)
+    if weight_of(voxels, voxel) > 0.0:
+        state = wp.where(distance_of(voxels, voxel) < 0.0, INSIDE, OUTSIDE)
     states[voxel] = state
 
 
@@ -162,9 +162,7 @@ def classify_cells(volume: Volume, tables: CaseTables) -> Cells:
         outputs=[cells.neighbours],
         device=device,
     )
-    launch_in_slabs(
-        _voxel_states, dim=voxels, inputs=[volume.distance_sum, volume.weight], outputs=[cells.states], device=device
-    )
+    launch_in_slabs(_voxel_states, dim=voxels, inputs=[volume.voxels], outputs=[cells.states], device=device)
     launch_in_slabs(
         _classify_cells,
         dim=voxels,

@@ -15,6 +15,7 @@ from fusion.survey import SceneSurvey
 from fusion.visible_blocks import visible_blocks
 from fusion.volume import Volume
 from fusion.volume_memory import block_budget, is_hopeless, too_large
+from fusion.voxels import Storage
 
 
 def fuse(
@@ -23,6 +24,7 @@ def fuse(
     lengths: Lengths,
     *,
     device: Device,
+    storage: Storage,
     clock: Stopwatch,
     progress: ProgressReporter,
 ) -> Volume:
@@ -37,18 +39,19 @@ def fuse(
         for frame_ids in source.batches():
             yield upload(source.depths(frame_ids), [source.poses[i] for i in frame_ids])
 
-    if is_hopeless(survey, lengths, device=device):
-        raise too_large(depth_batches, survey, lengths, device=device)
+    if is_hopeless(survey, lengths, device=device, storage=storage):
+        raise too_large(depth_batches, survey, lengths, device=device, storage=storage)
     volume = Volume(
         voxel_size=lengths.voxel_size,
         truncation=lengths.truncation,
         device=device,
-        max_blocks=block_budget(device),
+        max_blocks=block_budget(device, storage),
+        storage=storage,
     )
     try:
         _find_all_blocks(volume, depth_batches(), len(source.frame_ids), clock, progress)
     except BlockLimitError:
-        raise too_large(depth_batches, survey, lengths, device=device) from None
+        raise too_large(depth_batches, survey, lengths, device=device, storage=storage) from None
     volume.reserve(volume.table.count)
     advance = progress("integrate", len(source.frame_ids))
     for frame_ids in source.batches():

@@ -17,6 +17,7 @@ from fusion.devices import launch_in_slabs
 from fusion.frame_batch import FrameBatch
 from fusion.visible_blocks import VisibleBlocks
 from fusion.volume import Volume
+from fusion.voxels import PACKING_IN_CPP, Voxels
 
 wp.set_module_options({"enable_backward": False})
 
@@ -76,18 +77,33 @@ _ROW_IN_CPP = """
             color_weights[i] += near[i] ? 1.0f : 0.0f;
         }
     }
-    for (int i = 0; i < LANES; ++i) {
+    const bool packed = voxels.packed.shape[0] > 0;
+    for (int i = 0; packed && i < LANES; ++i) {
+        if (weights[i] == 0.0f) continue;
+        const unsigned long long bits = voxels.packed.data[voxel + i];
+        const float weight = weight_of_bits((unsigned int)(bits >> 16) & 0xffffu);
+        const float color_weight = weight * (float)(bits >> 56) * (1.0f / 255.0f);
+        voxels.packed.data[voxel + i] = pack_voxel(
+            voxel + i,
+            distances[i] + weight * (float)(short)(bits & 0xffffu) * (1.0f / 32767.0f),
+            weights[i] + weight,
+            reds[i] + color_weight * (float)((bits >> 32) & 255u),
+            greens[i] + color_weight * (float)((bits >> 40) & 255u),
+            blues[i] + color_weight * (float)((bits >> 48) & 255u),
+            color_weights[i] + color_weight);
+    }
+    for (int i = 0; !packed && i < LANES; ++i) {
         if (weights[i] > 0.0f) {
-            distance_sum.data[voxel + i] += distances[i];
-            weight.data[voxel + i] += weights[i];
-            color_sum.data[voxel + i] += wp::vec3(reds[i], greens[i], blues[i]);
-            color_weight.data[voxel + i] += color_weights[i];
+            voxels.distance_sum.data[voxel + i] += distances[i];
+            voxels.weight.data[voxel + i] += weights[i];
+            voxels.color_sum.data[voxel + i] += wp::vec3(reds[i], greens[i], blues[i]);
+            voxels.color_weight.data[voxel + i] += color_weights[i];
         }
     }
 """
 
 
-@wp.func_native(_ROW_IN_CPP)
+@wp.func_native(PACKING_IN_CPP + _ROW_IN_CPP)
 def integrate_row(
     frame_mask: wp.uint32,
     x: float,
@@ -98,10 +114,7 @@ def integrate_row(
     color: wp.array3d(dtype=wp.uint32),
     pixel_from_lattice: wp.array(dtype=wp.mat44),
     truncation: float,
-    distance_sum: wp.array(dtype=float),
-    weight: wp.array(dtype=float),
-    color_sum: wp.array(dtype=wp.vec3),
-    color_weight: wp.array(dtype=float),
+    voxels: Voxels,
 ) -> None:
     """Add all frames of ``frame_mask`` to the eight voxels from index ``voxel`` on, at lattice position (x …, y, z)."""
 
@@ -116,10 +129,7 @@ def _integrate_rows(
     color: wp.array3d(dtype=wp.uint32),
     pixel_from_lattice: wp.array(dtype=wp.mat44),
     truncation: float,
-    distance_sum: wp.array(dtype=float),
-    weight: wp.array(dtype=float),
-    color_sum: wp.array(dtype=wp.vec3),
-    color_weight: wp.array(dtype=float),
+    voxels: Voxels,
 ) -> None:
     index = wp.tid() + first
     listed = index / _ROWS
@@ -136,10 +146,7 @@ def _integrate_rows(
         color,
         pixel_from_lattice,
         truncation,
-        distance_sum,
-        weight,
-        color_sum,
-        color_weight,
+        voxels,
     )
 
 
@@ -158,6 +165,6 @@ def integrate_blocks(volume: Volume, batch: FrameBatch, visible: VisibleBlocks) 
             batch.pixel_from_lattice(volume.voxel_size),
             volume.truncation,
         ],
-        outputs=[volume.distance_sum, volume.weight, volume.color_sum, volume.color_weight],
+        outputs=[volume.voxels],
         device=volume.device,
     )

@@ -10,6 +10,7 @@ from fusion.devices import launch_in_slabs
 from fusion.marching_cubes_table import EDGE_CORNERS, triangle_table
 from fusion.mesh import Mesh
 from fusion.volume import Volume
+from fusion.voxels import Voxels, sums_of
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
@@ -37,10 +38,7 @@ def _emit_vertices(
     neighbours: wp.array2d(dtype=int),
     edge_used: wp.array2d(dtype=wp.uint8),
     row_vertices: wp.array(dtype=int),
-    distance_sum: wp.array(dtype=float),
-    weight: wp.array(dtype=float),
-    color_sum: wp.array(dtype=wp.vec3),
-    color_weight: wp.array(dtype=float),
+    voxels: Voxels,
     voxel_size: float,
     vertices: wp.array(dtype=wp.vec3),
     colors: wp.array(dtype=wp.vec3),
@@ -57,21 +55,23 @@ def _emit_vertices(
             if edge_used[axis, voxel] != wp.uint8(0):
                 step = wp.vec3i(wp.where(axis == 0, 1, 0), wp.where(axis == 1, 1, 0), wp.where(axis == 2, 1, 0))
                 other = voxel_index(neighbours, number, x + step[0], y + step[1], z + step[2])
-                a = distance_sum[voxel] / weight[voxel]
-                b = distance_sum[other] / weight[other]
+                sums_a = sums_of(voxels, voxel)
+                sums_b = sums_of(voxels, other)
+                a = sums_a.distance / sums_a.weight
+                b = sums_b.distance / sums_b.weight
                 along = a / (a - b)
                 start = wp.vec3(float(8 * block[0] + x), float(8 * block[1] + y), float(8 * block[2] + z))
                 direction = wp.vec3(float(step[0]), float(step[1]), float(step[2]))
                 vertices[vertex] = voxel_size * (start + along * direction)
                 # A voxel without colour is left out of the interpolation.
-                share_a = wp.where(color_weight[voxel] > 0.0, 1.0 - along, 0.0)
-                share_b = wp.where(color_weight[other] > 0.0, along, 0.0)
+                share_a = wp.where(sums_a.color_weight > 0.0, 1.0 - along, 0.0)
+                share_b = wp.where(sums_b.color_weight > 0.0, along, 0.0)
                 if share_a + share_b > 0.0:
                     mixed = wp.vec3()
                     if share_a > 0.0:
-                        mixed += share_a / color_weight[voxel] * color_sum[voxel]
+                        mixed += share_a / sums_a.color_weight * sums_a.color
                     if share_b > 0.0:
-                        mixed += share_b / color_weight[other] * color_sum[other]
+                        mixed += share_b / sums_b.color_weight * sums_b.color
                     colors[vertex] = mixed / (share_a + share_b)
                 vertex += 1
 
@@ -128,11 +128,17 @@ def marching_cubes(volume: Volume) -> Mesh:
     vertices = wp.empty(vertex_total, dtype=wp.vec3, device=volume.device)
     colors = wp.zeros(vertex_total, dtype=wp.vec3, device=volume.device)
     triangles = wp.empty((triangle_total, 3), dtype=int, device=volume.device)
-    sums = [volume.distance_sum, volume.weight, volume.color_sum, volume.color_weight]
     launch_in_slabs(
         _emit_vertices,
         dim=blocks * BLOCK_SIDE**2,
-        inputs=[volume.table.blocks, cells.neighbours, cells.edge_used, cells.row_vertices, *sums, volume.voxel_size],
+        inputs=[
+            volume.table.blocks,
+            cells.neighbours,
+            cells.edge_used,
+            cells.row_vertices,
+            volume.voxels,
+            volume.voxel_size,
+        ],
         outputs=[vertices, colors],
         device=volume.device,
     )

@@ -72,7 +72,7 @@ def reconstruct(
     with FrameSource(dataset, frame_ids, depth_max=config.depth_max) as source:
         survey = _survey(source, progress)
         lengths = choose_lengths(config, survey)
-        volume = fuse(source, survey, lengths, device=device, clock=clock, progress=progress)
+        volume = fuse(source, survey, lengths, device=device, storage=config.storage, clock=clock, progress=progress)
     mesh = _mesh(volume, dataset, clock, progress)
     metrics = None
     if ground_truth is not None:

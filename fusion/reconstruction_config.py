@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from datagen.errors import InputError
 from fusion.survey import SceneSurvey
+from fusion.voxels import Storage
 
 VOXELS_PER_TRUNCATION = 4
 MOST_VOXELS_PER_TRUNCATION = 64
@@ -17,7 +18,8 @@ class ReconstructionConfig:
     """What ``fusion reconstruct`` was asked for; None leaves a length to the data.
 
     ``voxel_size``, ``truncation`` and ``depth_max`` are metres; ``frames`` is START:STOP:STEP; ``device`` auto, cpu or
-    cuda[:N]. Raises InputError for a length that is not from a micrometre to ten kilometres.
+    cuda[:N]; ``storage`` the form of the volume (``fusion.voxels``). Raises InputError for a length that is not from a
+    micrometre to ten kilometres.
     """
 
     voxel_size: float | None = None
@@ -25,6 +27,7 @@ class ReconstructionConfig:
     depth_max: float | None = None
     frames: str | None = None
     device: str = "auto"
+    storage: Storage = "packed"
 
     def __post_init__(self) -> None:
         """Refuse lengths that make no volume."""

@@ -4,43 +4,58 @@ import warp as wp
 
 from fusion.block_table import BLOCK_VOXELS, BlockTable
 from fusion.devices import Device
+from fusion.voxels import Storage, Voxels
 
-BYTES_PER_BLOCK = BLOCK_VOXELS * 6 * 4
-"""Six float32 sums a voxel."""
+ARRAYS: dict[Storage, dict[str, type]] = {
+    "packed": {"packed": wp.uint64},
+    "full": {"distance_sum": wp.float32, "weight": wp.float32, "color_sum": wp.vec3, "color_weight": wp.float32},
+}
+"""The arrays of ``Voxels`` that a form of storage uses, and their types."""
 
 
 class Volume:
     """A truncated signed distance field with colour, on one device.
 
     Voxel i's centre lies at i · ``voxel_size`` (metres, world frame). A voxel of block b, at (x, y, z) within it, has
-    the index 512·b + 64·z + 8·y + x in four arrays of weighted sums: ``distance_sum`` (of t_d, in units of
-    ``truncation``), ``weight``, ``color_sum`` (RGB, 0 to 255) and ``color_weight``. Sums and not averages, so that
-    merging volumes is addition and removing a frame is subtraction. The average of a voxel of weight 0 is +1 and
-    black: unseen.
+    the index 512·b + 64·z + 8·y + x in the arrays of ``voxels``, which hold weighted sums in the form ``storage``. Sums
+    and not averages, so that merging volumes is addition and removing a frame is subtraction. A voxel of weight 0 is
+    unseen; its average is +1 and black.
     """
 
-    def __init__(self, *, voxel_size: float, truncation: float, device: Device, max_blocks: int) -> None:
+    def __init__(
+        self, *, voxel_size: float, truncation: float, device: Device, max_blocks: int, storage: Storage = "full"
+    ) -> None:
         self.voxel_size = voxel_size
         self.truncation = truncation
         self.device = device
+        self.storage = storage
         self.table = BlockTable(device=device, max_blocks=max_blocks)
-        self._allocate(0)
+        self.voxels = self._zeros(0)
 
-    def _allocate(self, blocks: int) -> None:
-        voxels = blocks * BLOCK_VOXELS
-        self.distance_sum = wp.zeros(voxels, dtype=float, device=self.device)
-        self.weight = wp.zeros(voxels, dtype=float, device=self.device)
-        self.color_sum = wp.zeros(voxels, dtype=wp.vec3, device=self.device)
-        self.color_weight = wp.zeros(voxels, dtype=float, device=self.device)
+    def arrays(self) -> dict[str, wp.array]:
+        """Return the arrays that hold the sums, by name; they may be longer than the blocks ask for."""
+        return {name: getattr(self.voxels, name) for name in ARRAYS[self.storage]}
+
+    @property
+    def reserved(self) -> int:
+        """How many blocks there is room for."""
+        return int(next(iter(self.arrays().values())).shape[0]) // BLOCK_VOXELS
 
     def reserve(self, blocks: int) -> None:
         """Make room for the sums of ``blocks`` blocks, keeping those that are there."""
-        held = self.weight.shape[0]
-        if blocks * BLOCK_VOXELS <= held:
+        held = self.reserved * BLOCK_VOXELS
+        if blocks <= self.reserved:
             return
-        before = (self.distance_sum, self.weight, self.color_sum, self.color_weight)
-        self._allocate(blocks)
+        before = self.arrays()
+        self.voxels = self._zeros(blocks)
         if held:
-            after = (self.distance_sum, self.weight, self.color_sum, self.color_weight)
-            for target, source in zip(after, before, strict=True):
-                wp.copy(target, source, count=held)
+            for name, array in self.arrays().items():
+                wp.copy(array, before[name], count=held)
+
+    def _zeros(self, blocks: int) -> Voxels:
+        voxels = Voxels()
+        used = ARRAYS[self.storage]
+        for name, dtype in (ARRAYS["packed"] | ARRAYS["full"]).items():
+            size = blocks * BLOCK_VOXELS if name in used else 0
+            setattr(voxels, name, wp.zeros(size, dtype=dtype, device=self.device))
+        return voxels

@@ -1,8 +1,9 @@
 """Volumes on disk: a zip of plain arrays (NumPy's .npz, read without pickle).
 
-Version 1 holds ``version`` (), ``voxel_size`` () and ``truncation`` () in metres, ``blocks`` (n, 3) int32, and for the
-512 n voxels, in the order that ``Volume`` describes, ``distance_sum``, ``weight``, ``color_weight`` (512 n) and
-``color_sum`` (512 n, 3), all float32. The zip's checksums tell a damaged file.
+Version 2 holds ``version`` (), ``storage`` () "packed" or "full", ``voxel_size`` () and ``truncation`` () in metres,
+``blocks`` (n, 3) int32, and for the 512 n voxels, in the order that ``Volume`` describes, the arrays of that storage:
+``packed`` (512 n) uint64, laid out as ``fusion.voxels`` describes; or, all float32, ``distance_sum``, ``weight``,
+``color_weight`` (512 n) and ``color_sum`` (512 n, 3). The zip's checksums tell a damaged file.
 """
 
 import zipfile
@@ -11,26 +12,27 @@ from pathlib import Path
 
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from datagen.atomic_write import replacing
 from datagen.errors import InputError
 from fusion.block_table import BLOCK_VOXELS
 from fusion.devices import Device
-from fusion.volume import Volume
+from fusion.volume import ARRAYS, Volume
+from fusion.voxels import Storage
 
-VERSION = 1
-_SUMS: dict[str, tuple[int, ...]] = {"distance_sum": (), "weight": (), "color_sum": (3,), "color_weight": ()}
-"""The sums of a voxel and their shapes."""
+VERSION = 2
 
 
 def save_volume(path: Path, volume: Volume) -> None:
     """Write a volume atomically."""
     count = volume.table.count
-    arrays = {name: getattr(volume, name).numpy()[: count * BLOCK_VOXELS] for name in _SUMS}
+    arrays = {name: array.numpy()[: count * BLOCK_VOXELS] for name, array in volume.arrays().items()}
     with replacing(path) as temporary, temporary.open("wb") as file:
         np.savez(
             file,
             version=VERSION,
+            storage=volume.storage,
             voxel_size=volume.voxel_size,
             truncation=volume.truncation,
             blocks=volume.table.blocks.numpy()[:count],
@@ -53,11 +55,9 @@ def load_volume(path: Path, *, device: Device) -> Volume:
             truncation=float(arrays["truncation"]),
             device=device,
             max_blocks=len(blocks),
+            storage=_storage(str(arrays["storage"])),
         )
-        sums = {
-            name: arrays.pop(name).astype(np.float32, copy=False).reshape(len(blocks) * BLOCK_VOXELS, *tail)
-            for name, tail in _SUMS.items()
-        }
+        sums = {name: _voxels(arrays.pop(name), dtype, len(blocks)) for name, dtype in ARRAYS[volume.storage].items()}
     except FileNotFoundError:
         raise InputError(f"{path}: the file is missing; reconstruct it again") from None
     except (OSError, EOFError, KeyError, AttributeError, ValueError, zipfile.BadZipFile, zlib.error) as error:
@@ -65,8 +65,21 @@ def load_volume(path: Path, *, device: Device) -> Volume:
             raise
         raise InputError(f"{path}: damaged, or not a volume ({error}); reconstruct it again") from error
     volume.table.adopt(blocks)
-    for name in _SUMS:
+    for name, dtype in ARRAYS[volume.storage].items():
         # The arrays that were read become the volume's own, so that it is never in memory twice.
-        dtype = getattr(volume, name).dtype
-        setattr(volume, name, wp.array(sums.pop(name), dtype=dtype, device=device, copy=False))
+        setattr(volume.voxels, name, wp.array(sums.pop(name), dtype=dtype, device=device, copy=False))
     return volume
+
+
+def _storage(name: str) -> Storage:
+    if name not in ARRAYS:
+        raise ValueError(f"unknown storage {name!r}")
+    return name
+
+
+def _voxels(array: NDArray, dtype: type, blocks: int) -> NDArray:
+    """Return an array that was read in the shape and type that a volume takes."""
+    if dtype is wp.uint64:
+        return array.astype(np.uint64, copy=False).reshape(blocks * BLOCK_VOXELS)
+    tail = (3,) if dtype is wp.vec3 else ()
+    return array.astype(np.float32, copy=False).reshape(blocks * BLOCK_VOXELS, *tail)

@@ -10,7 +10,7 @@ from fusion.find_blocks import find_blocks
 from fusion.frame_batch import FrameBatch
 from fusion.reconstruction_config import LARGEST_LENGTH, Lengths
 from fusion.survey import SceneSurvey
-from fusion.volume import BYTES_PER_BLOCK
+from fusion.voxels import BYTES_PER_VOXEL, Storage
 
 USABLE_SHARE = 0.7
 """How much of the free memory a volume may take; meshing needs some beside it."""
@@ -19,12 +19,16 @@ INDEX_LIMIT = (1 << 31) // BLOCK_VOXELS - 1
 """Voxels are indexed by 32-bit integers."""
 
 
-def block_budget(device: Device) -> int:
+def block_budget(device: Device, storage: Storage) -> int:
     """Return how many blocks a volume on ``device`` may have."""
-    return min(int(USABLE_SHARE * free_memory(device) / BYTES_PER_BLOCK), INDEX_LIMIT)
+    return min(int(USABLE_SHARE * free_memory(device) / _bytes_per_block(storage)), INDEX_LIMIT)
 
 
-def is_hopeless(survey: SceneSurvey, lengths: Lengths, *, device: Device) -> bool:
+def _bytes_per_block(storage: Storage) -> int:
+    return BLOCK_VOXELS * BYTES_PER_VOXEL[storage]
+
+
+def is_hopeless(survey: SceneSurvey, lengths: Lengths, *, device: Device, storage: Storage) -> bool:
     """Tell whether even one frame's surface, seen as flat, touches more blocks than fit.
 
     A plane cuts a cube of side s in at most √2 s², so an area A touches at least A / (√2 s²) blocks; and its band of
@@ -32,11 +36,16 @@ def is_hopeless(survey: SceneSurvey, lengths: Lengths, *, device: Device) -> boo
     """
     side = BLOCK_SIDE * lengths.voxel_size
     layers = max(1 / math.sqrt(2), 2 * lengths.truncation / side)
-    return survey.largest_area * layers > block_budget(device) * side**2
+    return survey.largest_area * layers > block_budget(device, storage) * side**2
 
 
 def too_large(
-    batches: Callable[[], Iterable[FrameBatch]], survey: SceneSurvey, lengths: Lengths, *, device: Device
+    batches: Callable[[], Iterable[FrameBatch]],
+    survey: SceneSurvey,
+    lengths: Lengths,
+    *,
+    device: Device,
+    storage: Storage,
 ) -> InputError:
     """Return the error for a voxel size that does not fit, with the one that does.
 
@@ -44,11 +53,11 @@ def too_large(
     of the size (a band of fixed thickness), or square (one that grows with the voxels). ``batches`` yields all frames,
     each time it is called.
     """
-    budget = block_budget(device)
+    budget = block_budget(device, storage)
     coarser, count = lengths, None
     while count is None and coarser.voxel_size < LARGEST_LENGTH:
         coarser = lengths.with_voxel_size(2 * coarser.voxel_size)
-        if not is_hopeless(survey, coarser, device=device):
+        if not is_hopeless(survey, coarser, device=device, storage=storage):
             count = _count_blocks(batches(), budget, coarser, device)
     remedy = "leave far depths out with --depth-max"
     if count is not None:
@@ -59,7 +68,7 @@ def too_large(
         remedy = f"{math.ceil(fitting / step) * step:.3g} fits, or {remedy}"
     return InputError(
         f"--voxel-size {lengths.voxel_size:g}: the volume would need more than the "
-        f"{budget * BYTES_PER_BLOCK / 2**30:.1f} GiB that {device.alias} can give it; {remedy}"
+        f"{budget * _bytes_per_block(storage) / 2**30:.1f} GiB that {device.alias} can give it; {remedy}"
     )
 
 

@@ -38,7 +38,8 @@ def batches(upload, frames, size):
 def by_block(volume):
     """Return {block coordinates: (512, 6) sums}."""
     count = volume.table.count
-    columns = [getattr(volume, name).numpy()[: count * BLOCK_VOXELS].reshape(count, BLOCK_VOXELS, -1) for name in SUMS]
+    arrays = volume.arrays()
+    columns = [arrays[name].numpy()[: count * BLOCK_VOXELS].reshape(count, BLOCK_VOXELS, -1) for name in SUMS]
     return dict(zip(map(tuple, volume.table.blocks.numpy()[:count].tolist()), np.concatenate(columns, 2), strict=True))
 
 

@@ -7,7 +7,6 @@ import trimesh
 import warp as wp
 from scipy.spatial import KDTree
 
-from fusion.block_table import BLOCK_VOXELS
 from fusion.marching_cubes import marching_cubes
 from fusion.volume import Volume
 
@@ -27,7 +26,7 @@ def volume_of(field, device, *, weight=None, color=None, voxel_size=1.0):
     volume = Volume(voxel_size=voxel_size, truncation=1.0, device=device, max_blocks=10**5)
     volume.table.adopt(np.array(list(itertools.product(*map(range, blocks))), np.int32))
     volume.reserve(volume.table.count)
-    assert volume.weight.shape[0] == volume.table.count * BLOCK_VOXELS
+    assert volume.reserved == volume.table.count
     tiled_weight = tile(weight)
     sums = {
         "distance_sum": tile(np.pad(field, padding)) * tiled_weight,
@@ -36,7 +35,7 @@ def volume_of(field, device, *, weight=None, color=None, voxel_size=1.0):
         "color_weight": tiled_weight,
     }
     for name, values in sums.items():
-        array = getattr(volume, name)
+        array = volume.arrays()[name]
         wp.copy(array, wp.array(values.astype(np.float32), dtype=array.dtype, device=device))
     return volume
 
