@@ -1,180 +1,227 @@
 """The cells of the sparse grid: between which voxels the surface passes, and which voxel edges carry a vertex.
 
-A cell's corners are eight neighbouring voxels, of up to eight blocks. It has a surface only where all of them were
-observed, so unseen space never makes any. Vertices lie on voxel edges and are shared by the cells around them.
+A cell's corners are eight neighbouring voxels, of up to eight blocks; it belongs to the block of its lowest corner. It
+has a surface only where all of them were observed, so unseen space never makes any. Vertices lie on voxel edges, belong
+to the block of the edge's lower voxel, and are shared by the cells around them.
+
+A voxel is read once, into two bits; all else is found from the words that these make up (``fusion.layers``).
 """
 
-from dataclasses import dataclass
+from typing import Any
 
+import numpy as np
 import warp as wp
+from numpy.typing import NDArray
+from warp.utils import array_scan
 
-from fusion.block_table import BLOCK_SIDE, BLOCK_VOXELS, find_block
+from fusion.block_table import BLOCK_SIDE, BLOCK_VOXELS, BlockTable, find_block
 from fusion.devices import launch_in_slabs
+from fusion.layers import NONE, Cells, case_of, corners_back, corners_on, is_wanted, lowest_bit, number_of, slot_of
 from fusion.volume import Volume
-from fusion.voxels import Voxels, distance_of, weight_of
+from fusion.voxels import Voxels
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-_ROWS = wp.constant(BLOCK_SIDE * BLOCK_SIDE)
 _VOXELS = wp.constant(BLOCK_VOXELS)
+_CUDA_LANES = 32
 
-UNSEEN = wp.constant(wp.uint8(0))
-OUTSIDE = wp.constant(wp.uint8(1))
-INSIDE = wp.constant(wp.uint8(2))
+# One thread a layer on the CPU, where the plain loop becomes vector instructions; a warp a layer on CUDA, where its
+# lanes read 32 voxels side by side and vote.
+_STATES_IN_CPP = """
+    union { float f; unsigned int u; } as;
+    as.f = min_weight;
+    // Packed weights ascend with their bits, so these are compared and not unpacked.
+    const unsigned int none = 112u << 23;
+    const unsigned int weight_bits = as.u > none ? (as.u - none) >> 12 : 0u;
+    const bool packed = voxels.packed.shape[0] > 0;
+    const unsigned long long *bits = packed ? (const unsigned long long *)voxels.packed.data + first_voxel : nullptr;
+    const float *distance = packed ? nullptr : voxels.distance_sum.data + first_voxel;
+    const float *weight = packed ? nullptr : voxels.weight.data + first_voxel;
+    unsigned long long seen_word = 0, inside_word = 0;
+#ifdef __CUDA_ARCH__
+    for (int half = 0; half < 64; half += 32) {
+        const int i = half + lane;
+        const unsigned long long voxel = packed ? bits[i] : 0ull;
+        const bool seen = packed ? ((unsigned int)(voxel >> 16) & 0xffffu) > weight_bits : weight[i] > min_weight;
+        const bool inside = seen && (packed ? ((voxel >> 15) & 1ull) != 0ull : distance[i] < 0.0f);
+        seen_word |= (unsigned long long)__ballot_sync(0xffffffffu, seen) << half;
+        inside_word |= (unsigned long long)__ballot_sync(0xffffffffu, inside) << half;
+    }
+    if (lane != 0) return;
+#else
+    if (packed) {
+        for (int i = 0; i < 64; ++i) {
+            const unsigned long long seen = ((bits[i] >> 16) & 0xffffull) > weight_bits ? 1ull : 0ull;
+            seen_word |= seen << i;
+            inside_word |= (seen & (bits[i] >> 15)) << i;
+        }
+    } else {
+        for (int i = 0; i < 64; ++i) {
+            const unsigned long long seen = weight[i] > min_weight ? 1ull : 0ull;
+            seen_word |= seen << i;
+            inside_word |= (distance[i] < 0.0f ? seen : 0ull) << i;
+        }
+    }
+#endif
+    cells.seen.data[layer] = seen_word;
+    cells.inside.data[layer] = inside_word;
+"""
 
 
-@dataclass(frozen=True, kw_only=True)
-class CaseTables:
-    """The marching cubes table on a device: ``edge_corners`` (12, 2), counts and edges of the 256 cases."""
-
-    edge_corners: wp.array
-    triangle_counts: wp.array
-    triangle_edges: wp.array
-
-
-@dataclass(frozen=True, kw_only=True)
-class Cells:
-    """Where the surface passes, for n blocks; a row is eight voxels along x.
-
-    ``states`` (512 n) UNSEEN, OUTSIDE or INSIDE; ``cases`` (512 n) sign patterns, 0 where a corner is unseen;
-    ``edge_used`` (3, 512 n) 1 where the edge from a voxel along an axis carries a vertex; ``row_vertices``,
-    ``row_triangles`` (64 n) how many vertices and triangles lie in the rows before, after the scan.
-    """
-
-    neighbours: wp.array
-    states: wp.array
-    cases: wp.array
-    edge_used: wp.array
-    row_vertices: wp.array
-    row_triangles: wp.array
+@wp.func_native(_STATES_IN_CPP)
+def find_states(voxels: Voxels, first_voxel: int, lane: int, min_weight: float, layer: int, cells: Cells) -> None:
+    """Find which voxels of a layer, from index ``first_voxel`` on, were seen, and which of these are inside."""
 
 
 @wp.kernel
 def _find_neighbours(
+    first: int,
     blocks: wp.array(dtype=wp.vec3i),
     keys: wp.array(dtype=wp.int64),
     numbers: wp.array(dtype=int),
-    neighbours: wp.array2d(dtype=int),
+    cells: Cells,
 ) -> None:
-    number, corner = wp.tid()
-    step = wp.vec3i(corner & 1, (corner >> 1) & 1, (corner >> 2) & 1)
-    neighbours[number, corner] = find_block(keys, numbers, blocks[number] + step)
-
-
-@wp.func
-def voxel_index(neighbours: wp.array2d(dtype=int), number: int, x: int, y: int, z: int) -> int:
-    """Return the index of voxel (x, y, z), each 0 to 8, seen from a block; −1 where its block does not exist."""
-    holder = neighbours[number, (x >> 3) + 2 * (y >> 3) + 4 * (z >> 3)]
-    if holder < 0:
-        return -1
-    return holder * _VOXELS + (z & 7) * 64 + (y & 7) * 8 + (x & 7)
+    index = wp.tid() + first
+    slot = index >> 3
+    corner = index & 7
+    beyond = slot
+    if corner > 0:
+        step = wp.vec3i(corner & 1, (corner >> 1) & 1, corner >> 2)
+        beyond = slot_of(cells, find_block(keys, numbers, blocks[number_of(cells, slot)] + step))
+    cells.upper[slot, corner] = beyond
+    if beyond >= 0:
+        cells.lower[beyond, corner] = slot  # no other thread comes to this place
 
 
 @wp.kernel
-def _voxel_states(
-    first: int,
-    voxels: Voxels,
-    states: wp.array(dtype=wp.uint8),
-) -> None:
-    voxel = wp.tid() + first
-    state = UNSEEN
-    if weight_of(voxels, voxel) > 0.0:
-        state = wp.where(distance_of(voxels, voxel) < 0.0, INSIDE, OUTSIDE)
-    states[voxel] = state
+def _find_states(first: int, lanes: int, voxels: Voxels, min_weight: float, cells: Cells) -> None:
+    index = wp.tid() + first
+    layer = index / lanes
+    first_voxel = number_of(cells, layer >> 3) * _VOXELS + (layer & 7) * 64
+    find_states(voxels, first_voxel, index - layer * lanes, min_weight, layer, cells)
 
 
 @wp.kernel
-def _classify_cells(
-    first: int,
-    neighbours: wp.array2d(dtype=int),
-    states: wp.array(dtype=wp.uint8),
-    edge_corners: wp.array2d(dtype=int),
-    cases: wp.array(dtype=wp.uint8),
-    edge_used: wp.array2d(dtype=wp.uint8),
-) -> None:
-    cell = wp.tid() + first
-    cases[cell] = wp.uint8(0)
-    if states[cell] == UNSEEN:
+def _find_active_cells(first: int, cells: Cells) -> None:
+    layer = wp.tid() + first
+    slot = layer >> 3
+    z = layer & 7
+    cells.active[layer] = NONE
+    if cells.seen[layer] == NONE:
         return
-    number = cell / _VOXELS
-    local = cell - number * _VOXELS
-    x = local & 7
-    y = (local >> 3) & 7
-    z = local >> 6
-    case = int(0)
-    for corner in range(8):
-        voxel = voxel_index(neighbours, number, x + (corner & 1), y + ((corner >> 1) & 1), z + (corner >> 2))
-        if voxel < 0:
-            return
-        state = states[voxel]
-        if state == UNSEEN:
-            return
-        if state == INSIDE:
-            case = case | (1 << corner)
-    if case == 0 or case == 255:
+    if not is_wanted(cells, slot):
         return
-    cases[cell] = wp.uint8(case)
-    for edge in range(12):
-        low = edge_corners[edge, 0]
-        high = edge_corners[edge, 1]
-        if ((case >> low) & 1) != ((case >> high) & 1):
-            # Cells around an edge may all write here, and all write the same.
-            owner = voxel_index(neighbours, number, x + (low & 1), y + ((low >> 1) & 1), z + (low >> 2))
-            edge_used[edge / 4, owner] = wp.uint8(1)
+    below = corners_on(cells.inside, cells.upper, slot, z)
+    above = corners_on(cells.inside, cells.upper, slot, z + 1)
+    some = below[0] | below[1] | below[2] | below[3] | above[0] | above[1] | above[2] | above[3]
+    every = below[0] & below[1] & below[2] & below[3] & above[0] & above[1] & above[2] & above[3]
+    if (some & ~every) == NONE:
+        return
+    seen_below = corners_on(cells.seen, cells.upper, slot, z)
+    seen_above = corners_on(cells.seen, cells.upper, slot, z + 1)
+    seen = seen_below[0] & seen_below[1] & seen_below[2] & seen_below[3]
+    seen = seen & seen_above[0] & seen_above[1] & seen_above[2] & seen_above[3]
+    cells.active[layer] = some & ~every & seen
 
 
 @wp.kernel
-def _count_rows(
-    first: int,
-    cases: wp.array(dtype=wp.uint8),
-    edge_used: wp.array2d(dtype=wp.uint8),
-    triangle_counts: wp.array(dtype=int),
-    row_vertices: wp.array(dtype=int),
-    row_triangles: wp.array(dtype=int),
-) -> None:
-    row = wp.tid() + first
+def _find_edges(first: int, triangle_counts: wp.array(dtype=int), cells: Cells) -> None:
+    layer = wp.tid() + first
+    slot = layer >> 3
+    z = layer & 7
+    active = corners_back(cells.active, cells.lower, slot, z)
+    under = corners_back(cells.active, cells.lower, slot, z - 1)
+    around = wp.vec3ul(
+        active[0] | active[2] | under[0] | under[2],
+        active[0] | active[1] | under[0] | under[1],
+        active[0] | active[1] | active[2] | active[3],
+    )
     vertices = int(0)
     triangles = int(0)
-    for i in range(8):
-        voxel = 8 * row + i
-        vertices += int(edge_used[0, voxel]) + int(edge_used[1, voxel]) + int(edge_used[2, voxel])
-        triangles += triangle_counts[int(cases[voxel])]
-    row_vertices[row] = vertices
-    row_triangles[row] = triangles
+    if (around[0] | around[1] | around[2]) != NONE:
+        below = corners_on(cells.inside, cells.upper, slot, z)
+        above = corners_on(cells.inside, cells.upper, slot, z + 1)
+        # Both ends of an edge of an active cell were seen.
+        edges = wp.vec3ul(
+            (below[0] ^ below[1]) & around[0], (below[0] ^ below[2]) & around[1], (below[0] ^ above[0]) & around[2]
+        )
+        for axis in range(3):
+            cells.edges[layer, axis] = edges[axis]
+            vertices += wp.bit_count(edges[axis])
+        left = active[0]
+        while left != NONE:
+            triangles += triangle_counts[case_of(below, above, lowest_bit(left))]
+            left = left & (left - wp.uint64(1))
+    # Where there are none the edges' words stay as they are: nothing reads them.
+    cells.starts[layer] = wp.vec2i(vertices, triangles)
 
 
-def classify_cells(volume: Volume, tables: CaseTables) -> Cells:
-    """Find the cells that the surface crosses and the edges that carry vertices, and count them by rows."""
+@wp.kernel
+def _list_around(
+    listed: wp.array(dtype=int),
+    blocks: wp.array(dtype=wp.vec3i),
+    keys: wp.array(dtype=wp.int64),
+    numbers: wp.array(dtype=int),
+    first_step: int,
+    side: int,
+    around: wp.array2d(dtype=int),
+) -> None:
+    index, step = wp.tid()
+    offset = wp.vec3i(step % side, (step / side) % side, step / (side * side)) + wp.vec3i(first_step)
+    around[index, step] = find_block(keys, numbers, blocks[listed[index]] + offset)
+
+
+def blocks_around(table: BlockTable, numbers: NDArray[np.int32], *, steps: range) -> NDArray[np.int32]:
+    """Return the numbers of the existing blocks that lie ``steps`` along each axis from any of ``numbers``, ascending.
+
+    The steps are successive block coordinates; 0 is the block itself.
+    """
+    listed = wp.array(numbers, dtype=int, device=table.device)
+    around = wp.empty((len(numbers), len(steps) ** 3), dtype=int, device=table.device)
+    inputs = [listed, table.blocks, table.keys, table.numbers, steps[0], len(steps)]
+    wp.launch(_list_around, dim=around.shape, inputs=inputs, outputs=[around], device=table.device)
+    found = np.unique(around.numpy())
+    return found[found >= 0]
+
+
+def _slots(volume: Volume, meshed: NDArray[np.int32] | None) -> tuple[int, Cells]:
+    """Return how many slots there are and empty cells for them; None meshes all blocks."""
+    device = volume.device
+    cells = Cells()
+    numbers = np.zeros(0, np.int32) if meshed is None else blocks_around(volume.table, meshed, steps=range(2))
+    slots = volume.table.count if meshed is None else len(numbers)
+    wanted = np.zeros(0, np.uint8) if meshed is None else np.isin(numbers, meshed).astype(np.uint8)
+    cells.numbers = wp.array(numbers, dtype=int, device=device)
+    cells.wanted = wp.array(wanted, dtype=wp.uint8, device=device)
+    cells.upper = wp.empty((slots, 8), dtype=int, device=device)
+    cells.lower = wp.full((slots, 8), -1, dtype=int, device=device)
+    layers = BLOCK_SIDE * slots
+    cells.inside = wp.empty(layers, dtype=wp.uint64, device=device)
+    cells.seen = wp.empty(layers, dtype=wp.uint64, device=device)
+    cells.active = wp.empty(layers, dtype=wp.uint64, device=device)
+    cells.edges = wp.empty((layers, 3), dtype=wp.uint64, device=device)
+    cells.starts = wp.zeros(layers + 1, dtype=wp.vec2i, device=device)
+    return slots, cells
+
+
+def find_cells(
+    volume: Volume, triangle_counts: wp.array, *, meshed: NDArray[np.int32] | None, min_weight: float
+) -> Cells:
+    """Find the cells of the ``meshed`` blocks (all where None) that the surface passes through, and their edges.
+
+    ``triangle_counts`` (256,) are those of the sign patterns. A voxel was seen where its weight is over ``min_weight``.
+    """
     device, table = volume.device, volume.table
-    voxels = table.count * BLOCK_VOXELS
-    cells = Cells(
-        neighbours=wp.empty((table.count, 8), dtype=int, device=device),
-        states=wp.empty(voxels, dtype=wp.uint8, device=device),
-        cases=wp.empty(voxels, dtype=wp.uint8, device=device),
-        edge_used=wp.zeros((3, voxels), dtype=wp.uint8, device=device),
-        row_vertices=wp.empty(voxels // BLOCK_SIDE, dtype=int, device=device),
-        row_triangles=wp.empty(voxels // BLOCK_SIDE, dtype=int, device=device),
-    )
-    wp.launch(
-        _find_neighbours,
-        dim=(table.count, 8),
-        inputs=[table.blocks, table.keys, table.numbers],
-        outputs=[cells.neighbours],
-        device=device,
-    )
-    launch_in_slabs(_voxel_states, dim=voxels, inputs=[volume.voxels], outputs=[cells.states], device=device)
-    launch_in_slabs(
-        _classify_cells,
-        dim=voxels,
-        inputs=[cells.neighbours, cells.states, tables.edge_corners],
-        outputs=[cells.cases, cells.edge_used],
-        device=device,
-    )
-    launch_in_slabs(
-        _count_rows,
-        dim=voxels // BLOCK_SIDE,
-        inputs=[cells.cases, cells.edge_used, tables.triangle_counts],
-        outputs=[cells.row_vertices, cells.row_triangles],
-        device=device,
-    )
+    slots, cells = _slots(volume, meshed)
+    layers = BLOCK_SIDE * slots
+    lanes = _CUDA_LANES if device.is_cuda else 1
+
+    def launch(kernel: wp.Kernel, dim: int, inputs: list[Any]) -> None:
+        launch_in_slabs(kernel, dim=dim, inputs=inputs, outputs=[cells], device=device)
+
+    launch(_find_neighbours, 8 * slots, [table.blocks, table.keys, table.numbers])
+    launch(_find_states, lanes * layers, [lanes, volume.voxels, min_weight])
+    launch(_find_active_cells, layers, [])
+    launch(_find_edges, layers, [triangle_counts])
+    array_scan(cells.starts, cells.starts, inclusive=False)
     return cells
