@@ -33,7 +33,7 @@ from fusion.devices import load_kernels, resolve_device
 from fusion.evaluate import evaluate
 from fusion.find_blocks import find_blocks
 from fusion.frame_batch import MAX_BATCH, FrameUploader
-from fusion.integrate import integrate_blocks
+from fusion.integrate import integrate_frames
 from fusion.marching_cubes import marching_cubes
 from fusion.mesh import read_mesh
 from fusion.reconstruct import KERNEL_MODULES

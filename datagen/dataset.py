@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from datagen.camera import PinholeCamera
 from datagen.dataset_format import Metadata, frame_file
 from datagen.errors import InputError
-from datagen.images import read_color, read_depth
+from datagen.images import read_color, read_depth, read_depth_steps
 from datagen.rigid import Matrix, rigid
 
 DEPTH_PART = "depth.png"
@@ -58,8 +58,14 @@ class Dataset:
 
     def depth(self, frame_id: int) -> NDArray[np.float32]:
         """Return planar depth (height, width) in metres, 0 = invalid, of a frame."""
-        path = frame_file(self.frames_folder, frame_id, DEPTH_PART)
-        return read_depth(path, size=self._size, metres_per_step=self.depth_scale)
+        return read_depth(self._depth_file(frame_id), size=self._size, metres_per_step=self.depth_scale)
+
+    def depth_steps(self, frame_id: int) -> NDArray[np.uint16]:
+        """Return planar depth (height, width) in steps of ``depth_scale`` metres, 0 = invalid, of a frame."""
+        return read_depth_steps(self._depth_file(frame_id), size=self._size)
+
+    def _depth_file(self, frame_id: int) -> Path:
+        return frame_file(self.frames_folder, frame_id, DEPTH_PART)
 
     def world_from_camera(self, frame_id: int) -> Matrix:
         """Return the pose of a frame, made exactly rigid where it is so within rounding."""

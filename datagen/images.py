@@ -23,8 +23,8 @@ def read_color(path: Path, *, size: tuple[int, int]) -> NDArray[np.uint8]:
     return cv2.cvtColor(image, cv2.COLOR_BGR2RGB).astype(np.uint8, copy=False)
 
 
-def read_depth(path: Path, *, size: tuple[int, int], metres_per_step: float) -> NDArray[np.float32]:
-    """Return planar depth (height, width) in metres, float32, 0 where invalid.
+def read_depth_steps(path: Path, *, size: tuple[int, int]) -> NDArray[np.uint16]:
+    """Return planar depth (height, width) in the steps of the image, uint16, 0 where invalid.
 
     Raises InputError where the file is missing, damaged, not a 16-bit single-channel image, or not of ``size``.
     """
@@ -35,9 +35,14 @@ def read_depth(path: Path, *, size: tuple[int, int], metres_per_step: float) -> 
             "an 8-bit preview of the depth cannot be used"
         )
     _check_size(path, image, size)
-    depth = image.astype(np.float32) * np.float32(metres_per_step)
-    depth[image == DEPTH_INVALID_MAX] = 0
-    return depth
+    steps = image.astype(np.uint16, copy=False)
+    steps[steps == DEPTH_INVALID_MAX] = 0
+    return steps
+
+
+def read_depth(path: Path, *, size: tuple[int, int], metres_per_step: float) -> NDArray[np.float32]:
+    """Return planar depth (height, width) in metres, float32, 0 where invalid; errors as ``read_depth_steps``."""
+    return read_depth_steps(path, size=size).astype(np.float32) * np.float32(metres_per_step)
 
 
 def write_color(path: Path, color: NDArray[np.uint8]) -> None:

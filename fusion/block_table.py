@@ -25,8 +25,25 @@ _FIELD_BITS = wp.constant(wp.int64(_COORDINATE_BITS))
 _FIELD_MASK = wp.constant(wp.int64((1 << _COORDINATE_BITS) - 1))
 
 
+PRESENT, ENTERED, TABLE_FULL, OUT_OF_RANGE = 0, 1, 2, 3
+_PRESENT = wp.constant(PRESENT)
+_ENTERED = wp.constant(ENTERED)
+_TABLE_FULL = wp.constant(TABLE_FULL)
+_OUT_OF_RANGE = wp.constant(OUT_OF_RANGE)
+
+
 class BlockLimitError(InputError):
     """More blocks were asked for than the volume may hold."""
+
+
+@wp.struct
+class BlockArrays:
+    """What kernels see: the hash ``keys`` and ``numbers`` (capacity,), ``blocks`` by number, ``count`` (1,)."""
+
+    keys: wp.array(dtype=wp.int64)
+    numbers: wp.array(dtype=int)
+    blocks: wp.array(dtype=wp.vec3i)
+    count: wp.array(dtype=int)
 
 
 @wp.func
@@ -56,25 +73,65 @@ def first_slot(key: wp.int64, capacity: int) -> int:
     return wp.int32(mixed >> wp.uint64(33)) & (capacity - 1)
 
 
+# Warp's atomics are not atomic between threads of the CPU; these are, on every device.
+_CLAIM_SLOT = """
+    unsigned long long *held = (unsigned long long *)&keys.data[slot];
+#ifdef __CUDA_ARCH__
+    return (wp::int64)atomicCAS(held, ~0ull, (unsigned long long)key);
+#else
+    return (wp::int64)__sync_val_compare_and_swap(held, ~0ull, (unsigned long long)key);
+#endif
+"""
+_COUNT_UP = """
+#ifdef __CUDA_ARCH__
+    return atomicAdd(&counts.data[index], 1);
+#else
+    return __sync_fetch_and_add(&counts.data[index], 1);
+#endif
+"""
+
+
+@wp.func_native(_CLAIM_SLOT)
+def claim_slot(keys: wp.array(dtype=wp.int64), slot: int, key: wp.int64) -> wp.int64:
+    """Put ``key`` into a slot if that is empty; returns what it held before."""
+
+
+@wp.func_native(_COUNT_UP)
+def count_up(counts: wp.array(dtype=int), index: int) -> int:
+    """Add one to a count that other threads may raise too; returns what it was before."""
+
+
 @wp.func
-def insert_key(keys: wp.array(dtype=wp.int64), key: wp.int64, key_count: wp.array(dtype=int)) -> bool:
-    """Enter ``key`` unless it is there; False where the table is half full and has to grow first."""
-    capacity = keys.shape[0]
+def enter_block(table: BlockArrays, block: wp.vec3i) -> int:
+    """Enter a block unless it is there; returns ENTERED, PRESENT, or what stands in the way.
+
+    A new block has the next number at once. TABLE_FULL means that it was not given one: the table has to grow, and
+    everything be entered again.
+    """
+    key = block_key(block)
+    if key == _EMPTY:
+        return _OUT_OF_RANGE
+    capacity = table.keys.shape[0]
     slot = first_slot(key, capacity)
-    # Each slot is read once: another thread may fill it in between. Threads that find the table half full at the same
-    # time may fill it further, so the search is bounded, and whoever claims a slot too many says so.
+    # Each slot is read once: another thread may fill it in between. The search is bounded, since threads that find
+    # the table half full at the same time may fill it further.
     for _probe in range(capacity):
-        held = keys[slot]
+        held = table.keys[slot]
         if held == _EMPTY:
-            if key_count[0] >= capacity / 2:
-                return False
-            held = wp.atomic_cas(keys, slot, _EMPTY, key)
+            if table.count[0] >= capacity / 2:
+                return _TABLE_FULL
+            held = claim_slot(table.keys, slot, key)
             if held == _EMPTY:
-                return wp.atomic_add(key_count, 0, 1) < capacity / 2
+                number = count_up(table.count, 0)
+                if number >= table.blocks.shape[0]:
+                    return _TABLE_FULL
+                table.numbers[slot] = number
+                table.blocks[number] = block
+                return _ENTERED
         if held == key:
-            return True
+            return _PRESENT
         slot = (slot + 1) & (capacity - 1)
-    return False
+    return _TABLE_FULL
 
 
 @wp.func
@@ -94,119 +151,108 @@ def find_block(keys: wp.array(dtype=wp.int64), numbers: wp.array(dtype=int), blo
 
 
 @wp.kernel
-def _list_new_keys(
-    keys: wp.array(dtype=wp.int64),
-    numbers: wp.array(dtype=int),
-    new_keys: wp.array(dtype=wp.int64),
-    new_count: wp.array(dtype=int),
+def _enter_numbered(
+    known: wp.array(dtype=wp.vec3i),
+    table: BlockArrays,
 ) -> None:
-    slot = wp.tid()
-    if keys[slot] == _EMPTY:
-        return
-    if numbers[slot] < 0:
-        new_keys[wp.atomic_add(new_count, 0, 1)] = keys[slot]
-
-
-@wp.kernel
-def _number_keys(
-    new_keys: wp.array(dtype=wp.int64),
-    first_number: int,
-    keys: wp.array(dtype=wp.int64),
-    numbers: wp.array(dtype=int),
-    blocks: wp.array(dtype=wp.vec3i),
-) -> None:
-    index = wp.tid()
-    key = new_keys[index]
-    numbers[find_slot(keys, key)] = first_number + index
-    blocks[first_number + index] = block_of_key(key)
-
-
-@wp.kernel
-def _insert_numbered(
-    blocks: wp.array(dtype=wp.vec3i),
-    keys: wp.array(dtype=wp.int64),
-    numbers: wp.array(dtype=int),
-    key_count: wp.array(dtype=int),
-) -> None:
-    key = block_key(blocks[wp.tid()])
-    insert_key(keys, key, key_count)
-    numbers[find_slot(keys, key)] = wp.tid()
+    number = wp.tid()
+    key = block_key(known[number])
+    capacity = table.keys.shape[0]
+    slot = first_slot(key, capacity)
+    while claim_slot(table.keys, slot, key) != _EMPTY:
+        slot = (slot + 1) & (capacity - 1)
+    table.numbers[slot] = number
+    table.blocks[number] = known[number]
 
 
 class BlockTable:
     """The hash and the list of its blocks, on one device.
 
-    ``keys`` and ``numbers`` (capacity,) are the hash; ``blocks`` (≥ count, 3) the block coordinates by number. At most
-    half of the slots are ever in use. ``max_blocks`` bounds the count: growing past it raises BlockLimitError.
+    ``arrays`` is what kernels take. At most half of the slots are ever in use. ``max_blocks`` bounds the count: growing
+    past it raises BlockLimitError. ``count`` is the number of blocks as the host last read it, by ``read_count``.
     """
 
     def __init__(self, *, device: Device, max_blocks: int, capacity: int = 1 << 14) -> None:
         self.device = device
         self.max_blocks = max_blocks
         self.count = 0
-        self._allocate(capacity)
-        self.blocks = wp.empty(capacity // 2, dtype=wp.vec3i, device=device)
+        self.arrays = self._empty(capacity)
 
     @property
     def capacity(self) -> int:
         """The number of slots."""
-        return self.keys.shape[0]
+        return int(self.keys.shape[0])
 
-    def _allocate(self, capacity: int) -> None:
-        self.keys = wp.full(capacity, -1, dtype=wp.int64, device=self.device)
-        self.numbers = wp.full(capacity, -1, dtype=int, device=self.device)
-        self.key_count = wp.zeros(1, dtype=int, device=self.device)
+    @property
+    def keys(self) -> wp.array:
+        """The hash's keys (capacity,), −1 where a slot is empty."""
+        return self.arrays.keys
+
+    @property
+    def numbers(self) -> wp.array:
+        """The block number in each slot (capacity,), −1 where it is empty."""
+        return self.arrays.numbers
+
+    @property
+    def blocks(self) -> wp.array:
+        """The block coordinates by number (≥ count,)."""
+        return self.arrays.blocks
+
+    def _empty(self, capacity: int) -> BlockArrays:
+        arrays = BlockArrays()
+        arrays.keys = wp.full(capacity, -1, dtype=wp.int64, device=self.device)
+        arrays.numbers = wp.full(capacity, -1, dtype=int, device=self.device)
+        arrays.blocks = wp.empty(min(capacity // 2, self.max_blocks), dtype=wp.vec3i, device=self.device)
+        arrays.count = wp.zeros(1, dtype=int, device=self.device)
+        return arrays
+
+    def read_count(self) -> int:
+        """Fetch the number of blocks from the device."""
+        self.count = min(int(self.arrays.count.numpy()[0]), int(self.blocks.shape[0]))
+        return self.count
 
     def grow(self) -> None:
-        """Double the table, dropping keys that were inserted but not yet numbered; raises BlockLimitError."""
-        if self.capacity // 2 >= 2 * self.max_blocks:
+        """Double the table; blocks that have a number keep it. Raises BlockLimitError past ``max_blocks``."""
+        if self.read_count() >= self.max_blocks:
             raise BlockLimitError(f"the volume needs more than the {self.max_blocks:,} blocks that memory allows")
-        known = self.blocks
-        self._allocate(2 * self.capacity)
-        self.blocks = wp.empty(self.capacity // 2, dtype=wp.vec3i, device=self.device)
+        self._rebuild(self.blocks, 2 * self.capacity)
+
+    def _rebuild(self, blocks: wp.array, capacity: int) -> None:
+        """Enter the first ``count`` of ``blocks`` into an empty hash, numbered in their order."""
+        self.arrays = self._empty(capacity)
         if self.count:
-            wp.copy(self.blocks, known, count=self.count)
-            inputs = [self.blocks, self.keys, self.numbers, self.key_count]
-            wp.launch(_insert_numbered, dim=self.count, inputs=inputs, device=self.device)
-
-    def number_new_blocks(self) -> None:
-        """Give every inserted key that has none the next block number; raises BlockLimitError past the bound.
-
-        They are numbered in Morton order: neighbours in space are neighbours in memory, and the numbers do not depend
-        on which thread was first.
-        """
-        new_keys = wp.empty(self.capacity // 2, dtype=wp.int64, device=self.device)
-        new_count = wp.zeros(1, dtype=int, device=self.device)
-        inputs = [self.keys, self.numbers]
-        wp.launch(_list_new_keys, dim=self.capacity, inputs=inputs, outputs=[new_keys, new_count], device=self.device)
-        count = int(new_count.numpy()[0])
-        if self.count + count > self.max_blocks:
-            raise BlockLimitError(f"the volume needs more than the {self.max_blocks:,} blocks that memory allows")
-        if count == 0:
-            return
-        in_order = wp.array(in_morton_order(new_keys[:count].numpy()), dtype=wp.int64, device=self.device)
-        inputs = [in_order, self.count, self.keys]
-        wp.launch(_number_keys, dim=count, inputs=inputs, outputs=[self.numbers, self.blocks], device=self.device)
-        self.count += count
+            wp.launch(_enter_numbered, dim=self.count, inputs=[blocks], outputs=[self.arrays], device=self.device)
+            self.arrays.count.fill_(self.count)
 
     def adopt(self, blocks: NDArray[np.int32]) -> None:
         """Fill an empty table with block coordinates (n, 3), all different, numbered in their order."""
         assert self.count == 0, "only an empty table adopts blocks"
-        while len(blocks) > self.capacity // 2:
-            self.grow()
-        wp.copy(self.blocks, wp.array(blocks, dtype=wp.vec3i, device=self.device))
+        self._adopt(blocks)
+
+    def _adopt(self, blocks: NDArray[np.int32]) -> None:
+        if len(blocks) > self.max_blocks:
+            raise BlockLimitError(f"{len(blocks):,} blocks are more than the {self.max_blocks:,} that memory allows")
         self.count = len(blocks)
-        inputs = [self.blocks, self.keys, self.numbers, self.key_count]
-        wp.launch(_insert_numbered, dim=self.count, inputs=inputs, device=self.device)
+        capacity = self.capacity
+        while self.count > capacity // 2:
+            capacity *= 2
+        self._rebuild(wp.array(blocks, dtype=wp.vec3i, device=self.device), capacity)
+
+    def sort(self) -> None:
+        """Renumber the blocks in Morton order, so that neighbours in space become neighbours in memory.
+
+        The numbers then depend on the blocks alone, not on which thread entered one first. For a table whose blocks
+        have no voxels yet.
+        """
+        self._adopt(in_morton_order(self.blocks.numpy()[: self.read_count()]))
 
 
-def in_morton_order(keys: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return block keys (n,) sorted so that blocks which are near in space are near in the list."""
-    code = np.zeros(len(keys), dtype=np.uint64)
-    bits = np.uint64(_COORDINATE_BITS)
-    fields = keys.astype(np.uint64)
+def in_morton_order(blocks: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Return block coordinates (n, 3) sorted so that blocks which are near in space are near in the list."""
+    code = np.zeros(len(blocks), dtype=np.uint64)
+    fields = (blocks.astype(np.int64) + COORDINATE_LIMIT).astype(np.uint64)
     for bit in range(_COORDINATE_BITS):
         for axis in range(3):
-            field_bit = (fields >> (np.uint64(axis) * bits + np.uint64(bit))) & np.uint64(1)
-            code |= field_bit << np.uint64(3 * bit + axis)
-    return keys[np.argsort(code)]
+            field_bit = (fields[:, axis] >> np.uint64(bit)) & np.uint64(1)
+            code |= field_bit << np.uint64(3 * bit + 2 - axis)
+    return blocks[np.argsort(code)]

@@ -1,10 +1,10 @@
 """Where kernels run: the CPU, on all of its cores, or a CUDA device."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeVar
 
 import psutil
 import warp as wp
@@ -14,6 +14,11 @@ from datagen.progress import ProgressReporter, silent
 
 Device: TypeAlias = Any
 """A Warp device; the type checker passes Warp over."""
+
+_Item = TypeVar("_Item")
+
+Kernel: TypeAlias = Any
+"""A Warp kernel."""
 
 
 def resolve_device(name: str) -> Device:
@@ -45,7 +50,9 @@ def load_kernels(modules: Sequence[str], *, device: Device, progress: ProgressRe
         advance()
 
 
-def launch_in_slabs(kernel: Any, *, dim: int, inputs: list[Any], outputs: list[Any], device: Device) -> None:
+def launch_in_slabs(
+    kernel: Kernel, *, dim: int, inputs: list[Any], outputs: list[Any], device: Device, block_dim: int = 256
+) -> None:
     """Launch ``kernel`` over [0, dim); on the CPU in slabs on all cores.
 
     The kernel's first parameter is the index at which its slab begins, to be added to ``wp.tid()``. Its threads must
@@ -54,7 +61,7 @@ def launch_in_slabs(kernel: Any, *, dim: int, inputs: list[Any], outputs: list[A
     if dim == 0:
         return
     if device.is_cuda:
-        wp.launch(kernel, dim=dim, inputs=[0, *inputs], outputs=outputs, device=device)
+        wp.launch(kernel, dim=dim, inputs=[0, *inputs], outputs=outputs, device=device, block_dim=block_dim)
         return
     # Loaded before the pool begins, or each thread would compile it.
     wp.load_module(kernel.module, device=device)
@@ -67,6 +74,11 @@ def launch_in_slabs(kernel: Any, *, dim: int, inputs: list[Any], outputs: list[A
         wp.launch(kernel, dim=size, inputs=[first, *inputs], outputs=outputs, device=device)
 
     list(_pool().map(run, range(0, dim, slab)))
+
+
+def map_on_cores(function: Callable[[_Item], None], items: Iterable[_Item]) -> None:
+    """Call ``function``, which should release the interpreter's lock, for each item on all cores."""
+    list(_pool().map(function, items))
 
 
 def _core_count() -> int:

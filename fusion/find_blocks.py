@@ -1,26 +1,45 @@
 """The allocation pass: which blocks does the truncation band of each frame touch?
 
-Pixels are taken in 8×8 tiles. A tile's valid depths span [z_min, z_max]; the band of all its pixels lies in the piece
-of the tile's frustum between z_min − t and z_max + t. Every block whose voxel centres come into that convex piece is
-found, by testing the box of the centres against the piece's six planes: no block of the band is ever missed, some
-beside it are taken. Where a tile spans an edge in depth, its near and far pixels make a piece each.
+Pixels are taken in square tiles. A tile's valid depths span [z_min, z_max]; the band of all its pixels lies in the
+piece of the tile's frustum between z_min − t and z_max + t. Every block whose voxel centres come into that convex piece
+is found, by testing the box of the centres against the piece's six planes: no block of the band is ever missed, some
+beside it are taken. A cell of 32×32 pixels is one piece where that costs few blocks beside the band: it is no wider
+than a block and its depths span no more than the truncation. Elsewhere it is divided, down to 8×8. Where such a tile
+spans an edge in depth, its near and far pixels make a piece each.
 """
 
+import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from datagen.errors import InputError
-from fusion.block_table import BLOCK_SIDE, COORDINATE_LIMIT, BlockTable, block_key, insert_key
+from fusion.block_table import (
+    BLOCK_SIDE,
+    COORDINATE_LIMIT,
+    ENTERED,
+    OUT_OF_RANGE,
+    TABLE_FULL,
+    BlockArrays,
+    BlockTable,
+    enter_block,
+)
+from fusion.depth_tiles import NONE_NEAR, TILE, DepthTiles
+from fusion.devices import launch_in_slabs
 from fusion.frame_batch import FrameBatch
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-TILE = 8
-_TILE = wp.constant(TILE)
-TABLE_FULL, OUT_OF_RANGE = 1, 2
-_TABLE_FULL = wp.constant(TABLE_FULL)
-_OUT_OF_RANGE = wp.constant(OUT_OF_RANGE)
+CELL_TILES = 4
+"""A cell is this many tiles wide."""
+
+_TILE = wp.constant(float(TILE))
+_CELL_TILES = wp.constant(CELL_TILES)
 _SIDE = wp.constant(float(BLOCK_SIDE))
 _FAR = wp.constant(3.0e38)
+_ENTERED = wp.constant(ENTERED)
+_TABLE_FULL = wp.constant(TABLE_FULL)
+_OUT_OF_RANGE = wp.constant(OUT_OF_RANGE)
+_MOST_BLOCKS_ALONG = wp.constant(4 * COORDINATE_LIMIT)
 
 
 @wp.struct
@@ -97,10 +116,23 @@ def touches(piece: Piece, middle: wp.vec3) -> bool:
     )
 
 
+@wp.struct
+class Request:
+    """What a frame asks of the table: ``entered`` new blocks, ``problem`` 0 or TABLE_FULL or OUT_OF_RANGE."""
+
+    entered: int
+    problem: int
+
+
 @wp.func
-def enter_piece(piece: Piece, voxel_size: float, keys: wp.array(dtype=wp.int64), key_count: wp.array(dtype=int)) -> int:
-    """Enter every block with a voxel centre in the piece; returns 0, or what stands in the way."""
+def enter_piece(piece: Piece, voxel_size: float, table: BlockArrays) -> Request:
+    """Enter every block with a voxel centre in the piece."""
+    request = Request()
     side = _SIDE * voxel_size
+    limit = side * float(COORDINATE_LIMIT)
+    if wp.max(wp.max(wp.abs(piece.low)), wp.max(wp.abs(piece.high))) >= limit:
+        request.problem = _OUT_OF_RANGE
+        return request
     margin = 1.0e-3
     first_x = int(wp.ceil((piece.low[0] + voxel_size) / side - 1.0 - margin))
     first_y = int(wp.ceil((piece.low[1] + voxel_size) / side - 1.0 - margin))
@@ -113,111 +145,152 @@ def enter_piece(piece: Piece, voxel_size: float, keys: wp.array(dtype=wp.int64),
             for z in range(first_z, last_z + 1):
                 middle = side * wp.vec3(float(x), float(y), float(z)) + wp.vec3(piece.half, piece.half, piece.half)
                 if touches(piece, middle):
-                    key = block_key(wp.vec3i(x, y, z))
-                    if key < wp.int64(0):
-                        return _OUT_OF_RANGE
-                    if not insert_key(keys, key, key_count):
-                        return _TABLE_FULL
-    return 0
+                    result = enter_block(table, wp.vec3i(x, y, z))
+                    if result == _ENTERED:
+                        request.entered += 1
+                    elif result >= _TABLE_FULL:
+                        request.problem = result
+                        return request
+    return request
 
 
 @wp.func
-def depth_ranges(depth: wp.array3d(dtype=float), frame: int, u0: int, v0: int, split_beyond: float) -> wp.vec4:
-    """Return [nearest, farthest] of a tile's near pixels and of its far ones; an empty range begins at _FAR.
+def range_of_tiles(ranges: wp.array3d(dtype=wp.vec4), frame: int, u: int, v: int, size: int) -> wp.vec2:
+    """Return the nearest and farthest depth in a square of ``size`` tiles."""
+    near = float(NONE_NEAR)
+    far = float(0.0)
+    for row in range(v, wp.min(v + size, ranges.shape[1])):
+        for column in range(u, wp.min(u + size, ranges.shape[2])):
+            tile = ranges[frame, row, column]
+            near = wp.min(near, tile[0])
+            far = wp.max(far, wp.max(tile[1], tile[3]))
+    return wp.vec2(near, far)
 
-    All are near unless their depths span more than ``split_beyond``.
-    """
-    u1 = wp.min(u0 + _TILE, depth.shape[2])
-    v1 = wp.min(v0 + _TILE, depth.shape[1])
-    nearest = float(_FAR)
-    farthest = float(0.0)
-    for v in range(v0, v1):
-        for u in range(u0, u1):
-            z = depth[frame, v, u]
-            if z > 0.0:
-                nearest = wp.min(nearest, z)
-                farthest = wp.max(farthest, z)
-    if farthest - nearest <= split_beyond:
-        return wp.vec4(nearest, farthest, _FAR, 0.0)
-    middle = 0.5 * (nearest + farthest)
-    near_end = float(0.0)
-    far_begin = float(_FAR)
-    for v in range(v0, v1):
-        for u in range(u0, u1):
-            z = depth[frame, v, u]
-            if z > middle:
-                far_begin = wp.min(far_begin, z)
-            elif z > 0.0:
-                near_end = wp.max(near_end, z)
-    return wp.vec4(nearest, near_end, far_begin, farthest)
+
+@wp.func
+def enter_range(
+    near: float,
+    far: float,
+    u: int,
+    v: int,
+    size: int,
+    pose: wp.mat44,
+    intrinsics: wp.vec4,
+    truncation: float,
+    voxel_size: float,
+    table: BlockArrays,
+) -> Request:
+    """Enter the blocks of a square of ``size`` tiles whose depths span [near, far]."""
+    # A pixel's footprint reaches half a pixel beyond its centre; a little more covers rounding in the projection.
+    left = float(u) * _TILE - 0.51
+    top = float(v) * _TILE - 0.51
+    width = float(size) * _TILE + 0.02
+    edges = wp.vec4(
+        (left - intrinsics[2]) / intrinsics[0],
+        (left + width - intrinsics[2]) / intrinsics[0],
+        (top - intrinsics[3]) / intrinsics[1],
+        (top + width - intrinsics[3]) / intrinsics[1],
+    )
+    band = 1.0001 * truncation
+    piece = piece_of_tile(pose, edges, wp.max(near - band, 1.0e-6), far + band, voxel_size)
+    return enter_piece(piece, voxel_size, table)
 
 
 @wp.kernel
 def _enter_blocks(
-    depth: wp.array3d(dtype=float),
+    first: int,
+    ranges: wp.array3d(dtype=wp.vec4),
     world_from_camera: wp.array(dtype=wp.mat44),
     intrinsics: wp.vec4,  # fx, fy, cx, cy
     truncation: float,
     voxel_size: float,
-    keys: wp.array(dtype=wp.int64),
-    key_count: wp.array(dtype=int),
-    problems: wp.array(dtype=int),
+    table: BlockArrays,
+    requests: wp.array2d(dtype=int),
 ) -> None:
-    frame, tile_v, tile_u = wp.tid()
-    if problems[0] != 0:
-        return
-    u0 = tile_u * _TILE
-    v0 = tile_v * _TILE
-    # A pixel's footprint reaches half a pixel beyond its centre; a little more covers rounding in the projection.
-    border = 0.51
-    edges = wp.vec4(
-        (float(u0) - border - intrinsics[2]) / intrinsics[0],
-        (float(u0 + _TILE - 1) + border - intrinsics[2]) / intrinsics[0],
-        (float(v0) - border - intrinsics[3]) / intrinsics[1],
-        (float(v0 + _TILE - 1) + border - intrinsics[3]) / intrinsics[1],
-    )
-    band = 1.0001 * truncation
-    ranges = depth_ranges(depth, frame, u0, v0, 2.0 * truncation)
-    for i in range(2):
-        if ranges[2 * i] < _FAR:
-            near = wp.max(ranges[2 * i] - band, 1.0e-6)
-            piece = piece_of_tile(world_from_camera[frame], edges, near, ranges[2 * i + 1] + band, voxel_size)
-            problem = enter_piece(piece, voxel_size, keys, key_count)
-            if problem != 0:
-                problems[0] = problem
+    index = wp.tid() + first
+    columns = (ranges.shape[2] + _CELL_TILES - 1) / _CELL_TILES
+    rows = (ranges.shape[1] + _CELL_TILES - 1) / _CELL_TILES
+    cell_u = (index % columns) * _CELL_TILES
+    cell_v = ((index / columns) % rows) * _CELL_TILES
+    frame = index / (columns * rows)
+    pose = world_from_camera[frame]
+    widest = _SIDE * voxel_size * wp.min(intrinsics[0], intrinsics[1]) / _TILE
+    entered = int(0)
+    # Squares of the cell in the order of a quadtree's walk: where one is entered whole, its parts are passed over.
+    step = int(0)
+    while step < _CELL_TILES * _CELL_TILES:
+        u = cell_u + (step & 1) + ((step >> 2) & 1) * 2
+        v = cell_v + ((step >> 1) & 1) + ((step >> 3) & 1) * 2
+        size = int(1)
+        span = wp.vec2(0.0, 0.0)
+        if step == 0:
+            size = _CELL_TILES
+        elif step % 4 == 0:
+            size = 2
+        whole = bool(False)
+        while size > 1 and not whole:
+            span = range_of_tiles(ranges, frame, u, v, size)
+            whole = span[1] == 0.0 or (span[1] - span[0] <= truncation and float(size) * span[1] <= widest)
+            if not whole:
+                size = size / 2
+        request = Request()
+        if whole:
+            if span[1] > 0.0:
+                request = enter_range(span[0], span[1], u, v, size, pose, intrinsics, truncation, voxel_size, table)
+        elif u < ranges.shape[2] and v < ranges.shape[1]:
+            tile = ranges[frame, v, u]
+            if tile[0] < NONE_NEAR:
+                request = enter_range(tile[0], tile[1], u, v, 1, pose, intrinsics, truncation, voxel_size, table)
+            if tile[2] < NONE_NEAR and request.problem == 0:
+                entered += request.entered
+                request = enter_range(tile[2], tile[3], u, v, 1, pose, intrinsics, truncation, voxel_size, table)
+        entered += request.entered
+        if request.problem != 0:
+            requests[index, 1] = request.problem
+            break
+        step += size * size
+    requests[index, 0] = entered
 
 
-def find_blocks(table: BlockTable, batch: FrameBatch, *, truncation: float, voxel_size: float) -> None:
-    """Enter the blocks that the batch's truncation bands touch into ``table``.
+def find_blocks(
+    table: BlockTable, batch: FrameBatch, tiles: DepthTiles, *, truncation: float, voxel_size: float
+) -> NDArray[np.int64]:
+    """Enter the blocks that the batch's truncation bands touch; returns how many each frame added, (frames,).
 
     Which they are depends on the frames alone. ``truncation`` and ``voxel_size`` are metres. Raises BlockLimitError
-    where the table may not grow as far as the frames ask, and InputError for surfaces too far away to be numbered.
+    where the table may not grow as far as the frames ask, and InputError for surfaces too far away to be numbered; both
+    name the frame, by its place in the batch.
     """
     camera = batch.camera
-    tiles = (-(-camera.height // TILE), -(-camera.width // TILE))
+    _, rows, columns = tiles.ranges.shape
+    cells = -(-rows // CELL_TILES) * -(-columns // CELL_TILES)
+    entered = np.zeros(len(batch), dtype=np.int64)
     while True:
-        problems = wp.zeros(1, dtype=int, device=table.device)
-        wp.launch(
+        requests = wp.zeros((len(batch) * cells, 2), dtype=int, device=table.device)
+        launch_in_slabs(
             _enter_blocks,
-            dim=(len(batch), *tiles),
+            dim=len(batch) * cells,
             inputs=[
-                batch.depth,
+                tiles.ranges,
                 batch.world_from_camera,
                 wp.vec4(camera.fx, camera.fy, camera.cx, camera.cy),
                 truncation,
                 voxel_size,
             ],
-            outputs=[table.keys, table.key_count, problems],
+            outputs=[table.arrays, requests],
             device=table.device,
         )
-        problem = int(problems.numpy()[0])
-        if problem == 0:
-            break
-        if problem == OUT_OF_RANGE:
+        answers = requests.numpy().reshape(len(batch), cells, 2)
+        entered += answers[:, :, 0].sum(axis=1)
+        problems = answers[:, :, 1].max(axis=1)
+        if (problems == OUT_OF_RANGE).any():
             reach = COORDINATE_LIMIT * BLOCK_SIDE * voxel_size
             raise InputError(
                 f"a surface is more than {reach:.3g} m from the world's origin, too far for voxels of {voxel_size:g} m;"
                 " use a larger --voxel-size, or leave far depths out with --depth-max"
             )
+        if not (problems == TABLE_FULL).any():
+            break
         table.grow()
-    table.number_new_blocks()
+    table.read_count()
+    return entered

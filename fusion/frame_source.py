@@ -37,9 +37,9 @@ class FrameSource:
         self.poses = {frame_id: _near_pose(dataset, frame_id) for frame_id in frame_ids}
         self.seconds = 0.0
         self._depth_max = depth_max
-        image_bytes = 4 * dataset.camera.width * dataset.camera.height
+        image_bytes = 2 * dataset.camera.width * dataset.camera.height
         self._cache_room = int(CACHE_SHARE * psutil.virtual_memory().available / image_bytes)
-        self._cache: dict[int, NDArray[np.float32]] = {}
+        self._cache: dict[int, NDArray[np.uint16]] = {}
         self._pool = ThreadPoolExecutor(thread_name_prefix="decode")
 
     def __enter__(self) -> "FrameSource":
@@ -57,8 +57,8 @@ class FrameSource:
         for first in range(0, len(self.frame_ids), MAX_BATCH):
             yield self.frame_ids[first : first + MAX_BATCH]
 
-    def depths(self, frame_ids: tuple[int, ...]) -> list[NDArray[np.float32]]:
-        """Return planar depth images (height, width), metres, 0 = invalid."""
+    def depths(self, frame_ids: tuple[int, ...]) -> list[NDArray[np.uint16]]:
+        """Return planar depth images (height, width) in steps of the dataset's ``depth_scale``, 0 = invalid."""
         return self._decode(self._depth, frame_ids)
 
     def colors(self, frame_ids: tuple[int, ...]) -> list[NDArray[np.uint8]]:
@@ -71,12 +71,12 @@ class FrameSource:
         self.seconds += time.perf_counter() - start
         return images
 
-    def _depth(self, frame_id: int) -> NDArray[np.float32]:
+    def _depth(self, frame_id: int) -> NDArray[np.uint16]:
         if frame_id in self._cache:
             return self._cache[frame_id]
-        depth = self.dataset.depth(frame_id)
+        depth = self.dataset.depth_steps(frame_id)
         if self._depth_max is not None:
-            depth[depth > self._depth_max] = 0
+            depth[depth > self._depth_max / self.dataset.depth_scale] = 0
         if len(self._cache) < self._cache_room:
             self._cache[frame_id] = depth
         return depth

@@ -2,24 +2,24 @@
 
 A frame changes a voxel where the pixel in front of it has a valid depth and d ≥ −t: farther behind the surface than the
 truncation nothing was seen, and the −1 of equation (2) would claim solid space there. In front, t_d is clipped to +1.
-Colour is taken where |d| ≤ t, near the surface that shows it. Each frame's weight w_new is 1.
+Colour is taken where |d| ≤ t, near the surface that shows it. Each frame's weight w_new is 1, or what ``Weighting``
+says.
 
-A thread takes a row of eight voxels along x through all frames of the batch that see its block; the sums stay in
-registers, so a voxel is read and written once a batch however many frames see it. Along the row the projection moves by
-a constant step. The row is written in C++, the same for CPU and CUDA, because its plain loops over eight lanes become
-vector instructions on the CPU, which Warp's scalar code does not: it takes half the time.
+Rows of eight voxels along x are taken through all frames of the batch that see their quarter of the block; the sums
+stay in registers, so a voxel is read and written once a batch however many frames see it. Along the row the projection
+moves by a constant step. The row is written in C++, the same for CPU and CUDA, because its plain loops over eight lanes
+become vector instructions on the CPU, which Warp's scalar code does not: it takes half the time.
 """
+
+from functools import cache
 
 import warp as wp
 
 from fusion.block_table import BLOCK_SIDE
-from fusion.devices import launch_in_slabs
+from fusion.devices import Kernel, launch_in_slabs
 from fusion.frame_batch import FrameBatch
-from fusion.visible_blocks import VisibleBlocks
 from fusion.volume import Volume
 from fusion.voxels import PACKING_IN_CPP, Voxels
-
-wp.set_module_options({"enable_backward": False})
 
 _ROWS = wp.constant(BLOCK_SIDE * BLOCK_SIDE)
 
@@ -54,7 +54,7 @@ _ROW_IN_CPP = """
             pixel[i] = seen[i] ? (int)v * width + (int)u : 0;
         }
         for (int i = 0; i < LANES; ++i) {
-            const float z_pixel = depth.data[image + pixel[i]];
+            const float z_pixel = depth_scale * (float)depth.data[image + pixel[i]];
             d[i] = z_pixel - z_voxel[i];
             seen[i] &= (z_pixel > 0.0f) & (d[i] >= -truncation);
             near[i] = seen[i] & (d[i] <= truncation);
@@ -103,64 +103,111 @@ _ROW_IN_CPP = """
 """
 
 
-@wp.func_native(PACKING_IN_CPP + _ROW_IN_CPP)
-def integrate_row(
-    frame_mask: wp.uint32,
-    x: float,
-    y: float,
-    z: float,
-    voxel: int,
-    depth: wp.array3d(dtype=float),
-    color: wp.array3d(dtype=wp.uint32),
-    pixel_from_lattice: wp.array(dtype=wp.mat44),
-    truncation: float,
-    voxels: Voxels,
-) -> None:
-    """Add all frames of ``frame_mask`` to the eight voxels from index ``voxel`` on, at lattice position (x …, y, z)."""
+@cache
+def _kernels(depth_type: type) -> tuple[Kernel, Kernel]:
+    """Return the kernel whose threads take a block each, for the CPU, and the one whose threads take a row."""
+
+    @wp.func_native(PACKING_IN_CPP + _ROW_IN_CPP)
+    def integrate_row(
+        frame_mask: wp.uint32,
+        x: float,
+        y: float,
+        z: float,
+        voxel: int,
+        depth: wp.array3d(dtype=depth_type),
+        depth_scale: float,
+        color: wp.array3d(dtype=wp.uint32),
+        pixel_from_lattice: wp.array(dtype=wp.mat44),
+        truncation: float,
+        voxels: Voxels,
+    ) -> None:
+        """Add all frames of ``frame_mask`` to the eight voxels from ``voxel`` on, at lattice position (x …, y, z)."""
+
+    @wp.func
+    def integrate(
+        number: int,
+        row: int,
+        masks: wp.array2d(dtype=wp.uint32),
+        block: wp.vec3i,
+        depth: wp.array3d(dtype=depth_type),
+        depth_scale: float,
+        color: wp.array3d(dtype=wp.uint32),
+        pixel_from_lattice: wp.array(dtype=wp.mat44),
+        truncation: float,
+        voxels: Voxels,
+    ):
+        y = row & 7
+        z = row >> 3
+        mask = masks[number, (y >> 2) + 2 * (z >> 2)]
+        if mask != wp.uint32(0):
+            integrate_row(
+                mask,
+                float(8 * block[0]),
+                float(8 * block[1] + y),
+                float(8 * block[2] + z),
+                (number * _ROWS + row) * 8,
+                depth,
+                depth_scale,
+                color,
+                pixel_from_lattice,
+                truncation,
+                voxels,
+            )
+
+    @wp.kernel(module="unique", enable_backward=False, module_options={"max_unroll": 1})
+    def integrate_blocks(
+        first: int,
+        masks: wp.array2d(dtype=wp.uint32),
+        blocks: wp.array(dtype=wp.vec3i),
+        depth: wp.array3d(dtype=depth_type),
+        depth_scale: float,
+        color: wp.array3d(dtype=wp.uint32),
+        pixel_from_lattice: wp.array(dtype=wp.mat44),
+        truncation: float,
+        voxels: Voxels,
+    ) -> None:
+        number = wp.tid() + first
+        any_frame = masks[number, 0] | masks[number, 1] | masks[number, 2] | masks[number, 3]
+        if any_frame == wp.uint32(0):
+            return
+        for row in range(_ROWS):
+            integrate(
+                number, row, masks, blocks[number], depth, depth_scale, color, pixel_from_lattice, truncation, voxels
+            )
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def integrate_rows(
+        first: int,
+        masks: wp.array2d(dtype=wp.uint32),
+        blocks: wp.array(dtype=wp.vec3i),
+        depth: wp.array3d(dtype=depth_type),
+        depth_scale: float,
+        color: wp.array3d(dtype=wp.uint32),
+        pixel_from_lattice: wp.array(dtype=wp.mat44),
+        truncation: float,
+        voxels: Voxels,
+    ) -> None:
+        index = wp.tid() + first
+        number = index / _ROWS
+        row = index - number * _ROWS
+        integrate(number, row, masks, blocks[number], depth, depth_scale, color, pixel_from_lattice, truncation, voxels)
+
+    return integrate_blocks, integrate_rows
 
 
-@wp.kernel
-def _integrate_rows(
-    first: int,
-    visible_numbers: wp.array(dtype=int),
-    visible_masks: wp.array(dtype=wp.uint32),
-    blocks: wp.array(dtype=wp.vec3i),
-    depth: wp.array3d(dtype=float),
-    color: wp.array3d(dtype=wp.uint32),
-    pixel_from_lattice: wp.array(dtype=wp.mat44),
-    truncation: float,
-    voxels: Voxels,
-) -> None:
-    index = wp.tid() + first
-    listed = index / _ROWS
-    row = index - listed * _ROWS
-    number = visible_numbers[listed]
-    block = blocks[number]
-    integrate_row(
-        visible_masks[listed],
-        float(8 * block[0]),
-        float(8 * block[1] + row % 8),
-        float(8 * block[2] + row / 8),
-        (number * _ROWS + row) * 8,
-        depth,
-        color,
-        pixel_from_lattice,
-        truncation,
-        voxels,
-    )
-
-
-def integrate_blocks(volume: Volume, batch: FrameBatch, visible: VisibleBlocks) -> None:
-    """Add a batch of frames to the volume's sums over the blocks that they see (``visible_blocks``)."""
+def integrate_frames(volume: Volume, batch: FrameBatch, masks: wp.array) -> None:
+    """Add a batch of frames to the volume's sums, over what they see of its blocks (``visible_blocks``)."""
     assert batch.color is not None, "integration takes frames with colour"
+    by_block, by_row = _kernels(batch.depth.dtype)
+    on_cuda = volume.device.is_cuda
     launch_in_slabs(
-        _integrate_rows,
-        dim=len(visible) * BLOCK_SIDE * BLOCK_SIDE,
+        by_row if on_cuda else by_block,
+        dim=volume.table.count * (BLOCK_SIDE * BLOCK_SIDE if on_cuda else 1),
         inputs=[
-            visible.numbers,
-            visible.frame_masks,
+            masks,
             volume.table.blocks,
             batch.depth,
+            batch.depth_scale,
             batch.color,
             batch.pixel_from_lattice(volume.voxel_size),
             volume.truncation,

@@ -22,7 +22,8 @@ PIXELS_OF_SLACK = 2.0
 def _mark_observed(
     first: int,
     points: wp.array(dtype=wp.vec3),
-    depth: wp.array3d(dtype=float),
+    depth: wp.array3d(dtype=wp.uint16),
+    depth_scale: float,
     camera_from_world: wp.array(dtype=wp.mat44),
     intrinsics: wp.vec4,  # fx, fy, cx, cy
     slack: float,
@@ -35,7 +36,7 @@ def _mark_observed(
             u = int(wp.floor(intrinsics[0] * point[0] / point[2] + intrinsics[2] + 0.5))
             v = int(wp.floor(intrinsics[1] * point[1] / point[2] + intrinsics[3] + 0.5))
             if u >= 0 and v >= 0 and u < depth.shape[2] and v < depth.shape[1]:
-                seen = depth[frame, v, u]
+                seen = depth_scale * float(depth[frame, v, u])
                 if seen > 0.0 and wp.abs(point[2] - seen) <= slack * point[2]:
                     observed[index] = wp.uint8(1)
 
@@ -55,7 +56,9 @@ def observed_points(
     """
     observed = wp.zeros(len(points), dtype=wp.uint8, device=device)
     on_device = wp.array(points.astype(np.float32), dtype=wp.vec3, device=device)
-    upload = FrameUploader(dataset.camera, device=device, capacity=min(len(frame_ids), MAX_BATCH))
+    upload = FrameUploader(
+        dataset.camera, device=device, capacity=min(len(frame_ids), MAX_BATCH), depth_scale=dataset.depth_scale
+    )
     advance: Callable[[], None] = progress("visibility", len(frame_ids))
     with FrameSource(dataset, frame_ids, depth_max=depth_max) as source:
         for batch_ids in source.batches():
@@ -74,6 +77,7 @@ def _mark(batch: FrameBatch, points: wp.array, observed: wp.array, device: Devic
         inputs=[
             points,
             batch.depth,
+            batch.depth_scale,
             batch.camera_from_lattice(1.0),
             wp.vec4(camera.fx, camera.fy, camera.cx, camera.cy),
             PIXELS_OF_SLACK / min(camera.fx, camera.fy),

@@ -4,6 +4,8 @@ import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+import numpy as np
+
 from datagen.atomic_write import require_writable
 from datagen.dataset import Dataset
 from datagen.dataset_format import Intrinsics
@@ -39,7 +41,6 @@ KERNEL_MODULES = (
     "fusion.block_table",
     "fusion.find_blocks",
     "fusion.visible_blocks",
-    "fusion.integrate",
     "fusion.cells",
     "fusion.marching_cubes",
 )
@@ -117,7 +118,8 @@ def _survey(source: FrameSource, progress: ProgressReporter) -> SceneSurvey:
     surveys = []
     for frame_ids in source.batches():
         for frame_id, depth in zip(frame_ids, source.depths(frame_ids), strict=True):
-            surveys.append(survey_frame(camera, depth, source.poses[frame_id]))
+            metres = depth.astype(np.float32) * np.float32(source.dataset.depth_scale)
+            surveys.append(survey_frame(camera, metres, source.poses[frame_id]))
             advance()
     return combine(surveys, camera)
 

@@ -1,176 +1,256 @@
-"""Which blocks does each frame of a batch have something to say about?
+"""Which parts of which blocks does each frame of a batch have something to say about?
 
-A frame says nothing about a block that lies outside its view, that is hidden by more than the truncation behind all
-that it sees there, or where it has no valid depth. Only such blocks are passed over: leaving them out changes no
-voxel. Space that a frame sees through is not passed over, so that what one frame put there by mistake is outvoted by
-the others.
+A frame says nothing about a part that lies outside its view, that is hidden by more than the truncation behind all that
+it sees there, or where it has no valid depth. Only such parts are passed over: leaving them out changes no voxel. Space
+that a frame sees through is not passed over, so that what one frame put there by mistake is outvoted by the others.
+
+A block is tested whole, then by quarters of 8×4×4 voxels. A test is one look into a table: for every tile, the farthest
+depth within so many tiles around it.
 """
 
-from dataclasses import dataclass
-
+import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from fusion.block_table import BLOCK_SIDE
+from fusion.depth_tiles import TILE, DepthTiles
 from fusion.devices import launch_in_slabs
 from fusion.frame_batch import FrameBatch
 from fusion.volume import Volume
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-PATCH = 32
-"""Depth images are surveyed in patches of this many pixels squared."""
+QUARTERS = 4
+"""Quarter q of a block holds the rows with y // 4 = q & 1 and z // 4 = q >> 1."""
 
-_PATCH = wp.constant(PATCH)
-_SIDE = wp.constant(float(BLOCK_SIDE))
+RADII = (1, 2, 3, 4, 6, 8, 12, 16, 24)
+"""For how many tiles around each tile the farthest depth is known; each is at most twice the one before."""
+
+_LANES = 8
+_BLOCK_THREADS = 64
 
 
-@dataclass(frozen=True, kw_only=True)
-class VisibleBlocks:
-    """Blocks and the frames of a batch that see them.
+# One after the other, each level is the largest of four windows of the level before, moved to its corners. On CUDA a
+# block of threads shares a frame's rows; on the CPU one thread has them all, and the columns become vector lanes.
+_FARTHEST_IN_CPP = """
+    constexpr int RADII[] = {%s};
+    constexpr int LEVELS = sizeof(RADII) / sizeof(int);
+    const int rows = ranges.shape[1], columns = ranges.shape[2];
+    const size_t size = (size_t)rows * columns;
+    const wp::vec4 *tiles = ranges.data + frame * size;
+    float *level = farthest.data + frame * LEVELS * size;
+#ifdef __CUDA_ARCH__
+    const int begin = threadIdx.x, step = blockDim.x;
+#else
+    const int begin = 0, step = 1;
+#endif
+    for (int v = begin; v < rows; v += step) {
+        for (int u = 0; u < columns; ++u) {
+            float z = 0.0f;
+            for (int row = v > 0 ? v - 1 : 0; row <= v + 1 && row < rows; ++row) {
+                for (int column = u > 0 ? u - 1 : 0; column <= u + 1 && column < columns; ++column) {
+                    const wp::vec4 &tile = tiles[row * columns + column];
+                    const float tile_max = tile.c[1] > tile.c[3] ? tile.c[1] : tile.c[3];
+                    z = tile_max > z ? tile_max : z;
+                }
+            }
+            level[v * columns + u] = z;
+        }
+    }
+    for (int l = 1; l < LEVELS; ++l, level += size) {
+        const int further = RADII[l] - RADII[l - 1];
+#ifdef __CUDA_ARCH__
+        __syncthreads();
+#endif
+        for (int v = begin; v < rows; v += step) {
+            const float *top = level + (v > further ? v - further : 0) * columns;
+            const float *bottom = level + (v + further < rows ? v + further : rows - 1) * columns;
+            float *out = level + size + v * columns;
+            auto put = [&](int u, int left, int right) {
+                const float one = top[left] > top[right] ? top[left] : top[right];
+                const float other = bottom[left] > bottom[right] ? bottom[left] : bottom[right];
+                out[u] = one > other ? one : other;
+            };
+            int u = 0;
+            for (; u < further && u < columns; ++u) put(u, 0, u + further < columns ? u + further : columns - 1);
+            for (; u + further < columns; ++u) put(u, u - further, u + further);
+            for (; u < columns; ++u) put(u, u - further, columns - 1);
+        }
+    }
+""" % ", ".join(map(str, RADII))
 
-    ``numbers`` (n,) int, block numbers, each once; ``frame_masks`` (n,) uint32, bit f set where frame f may see it.
-    """
 
-    numbers: wp.array
-    frame_masks: wp.array
-
-    def __len__(self) -> int:
-        """Return the number of blocks."""
-        return int(self.numbers.shape[0])
+@wp.func_native(_FARTHEST_IN_CPP)
+def farthest_around(frame: int, ranges: wp.array3d(dtype=wp.vec4), farthest: wp.array4d(dtype=float)) -> None:
+    """Fill in a frame's farthest depths, by all threads of a CUDA block together."""
 
 
 @wp.kernel
-def _farthest_depths(first: int, depth: wp.array3d(dtype=float), farthest: wp.array3d(dtype=float)) -> None:
-    index = wp.tid() + first
-    columns = farthest.shape[2]
-    rows = farthest.shape[1]
-    patch_u = index % columns
-    patch_v = (index / columns) % rows
-    frame = index / (columns * rows)
-    z_max = float(0.0)
-    for v in range(patch_v * _PATCH, wp.min((patch_v + 1) * _PATCH, depth.shape[1])):
-        for u in range(patch_u * _PATCH, wp.min((patch_u + 1) * _PATCH, depth.shape[2])):
-            z_max = wp.max(z_max, depth[frame, v, u])
-    farthest[frame, patch_v, patch_u] = z_max
+def _farthest_depths(
+    first: int, threads: int, ranges: wp.array3d(dtype=wp.vec4), farthest: wp.array4d(dtype=float)
+) -> None:
+    farthest_around((wp.tid() + first) / threads, ranges, farthest)
 
 
-@wp.func
-def may_see(
-    point: wp.vec3,  # the middle of the block's voxel centres, camera frame
-    radius: float,
-    intrinsics: wp.vec4,  # fx, fy, cx, cy
-    truncation: float,
-    frame: int,
+# `views` has a column for each frame, so that lanes are frames: rows 0 to 11 the 3×4 matrix camera_from_lattice, 12 to
+# 14 how far the box reaches along the camera's axes. A lane is true where the frame may see the box.
+_MARK_IN_CPP = """
+    constexpr int LANES = 8;
+    constexpr int RADII[] = {%s};
+    constexpr int LEVELS = sizeof(RADII) / sizeof(int);
+    const int columns = farthest.shape[3], rows = farthest.shape[2], frames = farthest.shape[0];
+    const int stride = views.shape[1];
+    const float wide = (float)width, high = (float)height;
+    auto see = [&](float x, float y, float z, int first, int reach_row, unsigned int asked) -> unsigned int {
+        const float *m = views.data + first;
+        const float *reach = m + (size_t)reach_row * stride;
+        float nearest[LANES], u[LANES], v[LANES], radius[LANES];
+        int inside[LANES];
+        for (int i = 0; i < LANES; ++i) {
+            const float cx = m[i] * x + m[stride + i] * y + m[2 * stride + i] * z + m[3 * stride + i];
+            const float cy = m[4 * stride + i] * x + m[5 * stride + i] * y + m[6 * stride + i] * z + m[7 * stride + i];
+            const float cz = m[8 * stride + i] * x + m[9 * stride + i] * y + m[10 * stride + i] * z + m[11 * stride + i];
+            const float hx = reach[i], hy = reach[stride + i], hz = reach[2 * stride + i];
+            nearest[i] = cz - hz;
+            // |x/z - x0/z0| <= (hx + hz |x0/z0|) / (z0 - hz) for every point of the box.
+            const float inverse = 1.0f / cz, slope = 1.0f / (nearest[i] > 1e-6f ? nearest[i] : 1e-6f);
+            const float px = cx * inverse, py = cy * inverse;
+            const float reach_u = fx * (hx + hz * (px < 0.0f ? -px : px)) * slope + 1.0f;
+            const float reach_v = fy * (hy + hz * (py < 0.0f ? -py : py)) * slope + 1.0f;
+            u[i] = fx * px + center_u;
+            v[i] = fy * py + center_v;
+            radius[i] = reach_u > reach_v ? reach_u : reach_v;
+            const bool close = nearest[i] <= 0.1f * hz;
+            inside[i] = (cz + hz > 0.0f) & (close | ((u[i] + reach_u >= -0.5f) & (v[i] + reach_v >= -0.5f) &
+                                                     (u[i] - reach_u <= wide - 0.5f) & (v[i] - reach_v <= high - 0.5f)));
+            // A box around the camera may be anywhere in the image.
+            radius[i] = close ? 1e9f : radius[i];
+        }
+        unsigned int seen = 0;
+        for (int i = 0; i < LANES; ++i) {
+            if (!inside[i] || !(asked >> i & 1u)) continue;
+            int level = 0;
+            while (level < LEVELS && radius[i] > %d.0f * RADII[level]) ++level;
+            if (level == LEVELS) { seen |= 1u << i; continue; }
+            const float last_u = wide - 1.0f, last_v = high - 1.0f;
+            const int tile_u = (int)(u[i] < 0.0f ? 0.0f : u[i] > last_u ? last_u : u[i]) / %d;
+            const int tile_v = (int)(v[i] < 0.0f ? 0.0f : v[i] > last_v ? last_v : v[i]) / %d;
+            const float z = farthest.data[(((size_t)(first + i) * LEVELS + level) * rows + tile_v) * columns + tile_u];
+            seen |= (unsigned int)((z > 0.0f) & (nearest[i] <= z + truncation)) << i;
+        }
+        return seen;
+    };
+    unsigned int quarters[4] = {0, 0, 0, 0};
+    for (int first = 0; first < frames; first += LANES) {
+        const unsigned int there = frames - first >= LANES ? 0xffu : (1u << (frames - first)) - 1u;
+        const unsigned int block = see(x + 3.5f, y + 3.5f, z + 3.5f, first, 12, there);
+        if (block == 0u) continue;
+        for (int q = 0; q < 4; ++q) {
+            const float quarter_y = y + 1.5f + 4.0f * (q & 1), quarter_z = z + 1.5f + 4.0f * (q >> 1);
+            quarters[q] |= see(x + 3.5f, quarter_y, quarter_z, first, 15, block) << first;
+        }
+    }
+    for (int q = 0; q < 4; ++q) masks.data[4 * number + q] = quarters[q];
+""" % (", ".join(map(str, RADII)), TILE, TILE, TILE)
+
+
+@wp.func_native(_MARK_IN_CPP)
+def mark_quarters(
+    x: float,
+    y: float,
+    z: float,
+    number: int,
+    views: wp.array2d(dtype=float),
+    fx: float,
+    fy: float,
+    center_u: float,
+    center_v: float,
     width: int,
     height: int,
-    farthest: wp.array3d(dtype=float),
-) -> bool:
-    """Tell whether a ball around a block may hold a voxel that the frame updates."""
-    nearest = point[2] - radius
-    if nearest + 2.0 * radius <= 0.0:
-        return False
-    first_u = int(0)
-    last_u = width - 1
-    first_v = int(0)
-    last_v = height - 1
-    if nearest > 0.1 * radius:
-        # |x/z − x₀/z₀| ≤ r (1 + |x₀/z₀|) / (z₀ − r) for every point of the ball.
-        x = point[0] / point[2]
-        y = point[1] / point[2]
-        reach_u = intrinsics[0] * radius * (1.0 + wp.abs(x)) / nearest + 1.0
-        reach_v = intrinsics[1] * radius * (1.0 + wp.abs(y)) / nearest + 1.0
-        u = intrinsics[0] * x + intrinsics[2]
-        v = intrinsics[1] * y + intrinsics[3]
-        first_u = int(wp.clamp(u - reach_u, 0.0, float(width)))
-        last_u = int(wp.clamp(u + reach_u, -1.0, float(width - 1)))
-        first_v = int(wp.clamp(v - reach_v, 0.0, float(height)))
-        last_v = int(wp.clamp(v + reach_v, -1.0, float(height - 1)))
-        if last_u < first_u or last_v < first_v or u + reach_u < -0.5 or v + reach_v < -0.5:
-            return False
-    for patch_v in range(first_v / _PATCH, last_v / _PATCH + 1):
-        for patch_u in range(first_u / _PATCH, last_u / _PATCH + 1):
-            z_max = farthest[frame, patch_v, patch_u]
-            if z_max > 0.0 and nearest <= z_max + truncation:
-                return True
-    return False
+    truncation: float,
+    farthest: wp.array4d(dtype=float),
+    masks: wp.array2d(dtype=wp.uint32),
+) -> None:
+    """Write the frame masks of the block whose first voxel is (x, y, z) on the lattice."""
 
 
 @wp.kernel
 def _mark_visible(
     first: int,
     blocks: wp.array(dtype=wp.vec3i),
-    camera_from_lattice: wp.array(dtype=wp.mat44),
-    intrinsics: wp.vec4,
-    voxel_size: float,
-    truncation: float,
+    views: wp.array2d(dtype=float),
+    intrinsics: wp.vec4,  # fx, fy, cx, cy
     width: int,
     height: int,
-    farthest: wp.array3d(dtype=float),
-    masks: wp.array(dtype=wp.uint32),
+    truncation: float,
+    farthest: wp.array4d(dtype=float),
+    masks: wp.array2d(dtype=wp.uint32),
 ) -> None:
     number = wp.tid() + first
     block = blocks[number]
-    half = 0.5 * (_SIDE - 1.0)
-    middle = wp.vec3(_SIDE * float(block[0]) + half, _SIDE * float(block[1]) + half, _SIDE * float(block[2]) + half)
-    # The ball around the voxel centres, a little larger against rounding.
-    radius = 1.7325 * half * voxel_size
-    mask = wp.uint32(0)
-    for frame in range(camera_from_lattice.shape[0]):
-        point = wp.transform_point(camera_from_lattice[frame], middle)
-        if may_see(point, radius, intrinsics, truncation, frame, width, height, farthest):
-            mask = mask | (wp.uint32(1) << wp.uint32(frame))
-    masks[number] = mask
+    mark_quarters(
+        float(8 * block[0]),
+        float(8 * block[1]),
+        float(8 * block[2]),
+        number,
+        views,
+        intrinsics[0],
+        intrinsics[1],
+        intrinsics[2],
+        intrinsics[3],
+        width,
+        height,
+        truncation,
+        farthest,
+        masks,
+    )
 
 
-@wp.kernel
-def _list_marked(
-    masks: wp.array(dtype=wp.uint32),
-    listed_numbers: wp.array(dtype=int),
-    listed_masks: wp.array(dtype=wp.uint32),
-    listed_count: wp.array(dtype=int),
-) -> None:
-    number = wp.tid()
-    if masks[number] != wp.uint32(0):
-        index = wp.atomic_add(listed_count, 0, 1)
-        listed_numbers[index] = number
-        listed_masks[index] = masks[number]
-
-
-def visible_blocks(volume: Volume, batch: FrameBatch) -> VisibleBlocks:
-    """Return the volume's blocks that the batch's frames may update, in the order of their numbers."""
+def visible_blocks(volume: Volume, batch: FrameBatch, tiles: DepthTiles) -> wp.array:
+    """Return frame masks (blocks, 4) uint32: bit f of a block's quarter is set where frame f may update a voxel."""
     table, camera, device = volume.table, batch.camera, volume.device
-    if table.count == 0:
-        return VisibleBlocks(
-            numbers=wp.empty(0, dtype=int, device=device), frame_masks=wp.empty(0, dtype=wp.uint32, device=device)
-        )
-    farthest = wp.empty((len(batch), -(-camera.height // PATCH), -(-camera.width // PATCH)), dtype=float, device=device)
-    launch_in_slabs(_farthest_depths, dim=farthest.size, inputs=[batch.depth], outputs=[farthest], device=device)
-    masks = wp.empty(table.count, dtype=wp.uint32, device=device)
+    masks = wp.empty((table.count, QUARTERS), dtype=wp.uint32, device=device)
     launch_in_slabs(
         _mark_visible,
         dim=table.count,
         inputs=[
             table.blocks,
-            batch.camera_from_lattice(volume.voxel_size),
+            wp.array(_views(batch, volume.voxel_size), dtype=float, device=device),
             wp.vec4(camera.fx, camera.fy, camera.cx, camera.cy),
-            volume.voxel_size,
-            volume.truncation,
             camera.width,
             camera.height,
-            farthest,
+            volume.truncation,
+            _farthest(tiles),
         ],
         outputs=[masks],
         device=device,
     )
-    numbers = wp.empty(table.count, dtype=int, device=device)
-    frame_masks = wp.empty(table.count, dtype=wp.uint32, device=device)
-    count = wp.zeros(1, dtype=int, device=device)
-    wp.launch(
-        _list_marked,
-        dim=table.count,
-        inputs=[masks],
-        outputs=[numbers, frame_masks, count],
-        device=device,
+    return masks
+
+
+def _farthest(tiles: DepthTiles) -> wp.array:
+    """Return (frames, radii, rows, columns): the farthest depth within each of RADII tiles around each tile."""
+    ranges = tiles.ranges
+    frames, rows, columns = ranges.shape
+    farthest = wp.empty((frames, len(RADII), rows, columns), dtype=float, device=ranges.device)
+    threads = _BLOCK_THREADS if ranges.device.is_cuda else 1
+    launch_in_slabs(
+        _farthest_depths,
+        dim=frames * threads,
+        inputs=[threads, ranges],
+        outputs=[farthest],
+        device=ranges.device,
+        block_dim=_BLOCK_THREADS,
     )
-    listed = int(count.numpy()[0])
-    return VisibleBlocks(numbers=numbers[:listed], frame_masks=frame_masks[:listed])
+    return farthest
+
+
+def _views(batch: FrameBatch, voxel_size: float) -> NDArray[np.float32]:
+    """Return (18, frames rounded up to lanes): camera_from_lattice, and how far a block and a quarter reach in it."""
+    matrices = batch.lattice_matrices(voxel_size)[:, :3]
+    views = np.zeros((18, -(-len(batch) // _LANES) * _LANES), dtype=np.float32)
+    views[:12, : len(batch)] = matrices.reshape(len(batch), 12).T
+    for row, half in ((12, (3.5, 3.5, 3.5)), (15, (3.5, 1.5, 1.5))):
+        # A little more covers rounding.
+        views[row : row + 3, : len(batch)] = 1.001 * np.abs(matrices[:, :, :3]).dot(half).T
+    return views

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterable
 
 from datagen.errors import InputError
 from fusion.block_table import BLOCK_SIDE, BLOCK_VOXELS, BlockLimitError, BlockTable
+from fusion.depth_tiles import depth_tiles
 from fusion.devices import Device, free_memory
 from fusion.find_blocks import find_blocks
 from fusion.frame_batch import FrameBatch
@@ -77,7 +78,8 @@ def _count_blocks(batches: Iterable[FrameBatch], budget: int, lengths: Lengths, 
     table = BlockTable(device=device, max_blocks=budget)
     try:
         for batch in batches:
-            find_blocks(table, batch, truncation=lengths.truncation, voxel_size=lengths.voxel_size)
+            tiles = depth_tiles(batch, split_beyond=2 * lengths.truncation)
+            find_blocks(table, batch, tiles, truncation=lengths.truncation, voxel_size=lengths.voxel_size)
     except BlockLimitError:
         return None
     return table.count

@@ -6,9 +6,10 @@ from synthetic_scene import CAMERA, SphereScene
 
 from datagen.rigid import inverse, transform_points
 from fusion.block_table import BLOCK_VOXELS
+from fusion.depth_tiles import depth_tiles
 from fusion.find_blocks import find_blocks
 from fusion.frame_batch import FrameUploader
-from fusion.integrate import integrate_blocks
+from fusion.integrate import integrate_frames
 from fusion.marching_cubes import marching_cubes
 from fusion.visible_blocks import visible_blocks
 from fusion.volume import Volume
@@ -22,10 +23,13 @@ def fuse(frames, device, *, batch_size=32, order=None, blocks_of=None):
     volume = Volume(voxel_size=VOXEL_SIZE, truncation=TRUNCATION, device=device, max_blocks=10**5)
     upload = FrameUploader(CAMERA, device=device)
     for batch in batches(upload, blocks_of or frames, 32):
-        find_blocks(volume.table, batch, truncation=TRUNCATION, voxel_size=VOXEL_SIZE)
+        tiles = depth_tiles(batch, split_beyond=2 * TRUNCATION)
+        find_blocks(volume.table, batch, tiles, truncation=TRUNCATION, voxel_size=VOXEL_SIZE)
+    volume.table.sort()
     volume.reserve(volume.table.count)
     for batch in batches(upload, [frames[i] for i in order] if order is not None else frames, batch_size):
-        integrate_blocks(volume, batch, visible_blocks(volume, batch))
+        tiles = depth_tiles(batch, split_beyond=2 * TRUNCATION)
+        integrate_frames(volume, batch, visible_blocks(volume, batch, tiles))
     return volume
 
 

@@ -3,9 +3,10 @@ import pytest
 from synthetic_scene import CAMERA, SphereScene
 
 from datagen.errors import InputError
+from fusion.depth_tiles import depth_tiles
 from fusion.find_blocks import find_blocks
 from fusion.frame_batch import FrameUploader
-from fusion.integrate import integrate_blocks
+from fusion.integrate import integrate_frames
 from fusion.marching_cubes import marching_cubes
 from fusion.visible_blocks import visible_blocks
 from fusion.volume import Volume
@@ -19,9 +20,10 @@ def volume(device):
     batch = FrameUploader(CAMERA, device=device)(
         [f.depth for f in frames], [f.world_from_camera for f in frames], [f.color for f in frames]
     )
-    find_blocks(volume.table, batch, truncation=0.06, voxel_size=0.02)
+    tiles = depth_tiles(batch, split_beyond=0.12)
+    find_blocks(volume.table, batch, tiles, truncation=0.06, voxel_size=0.02)
     volume.reserve(volume.table.count)
-    integrate_blocks(volume, batch, visible_blocks(volume, batch))
+    integrate_frames(volume, batch, visible_blocks(volume, batch, tiles))
     return volume
 
 
