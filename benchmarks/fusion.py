@@ -29,16 +29,21 @@ from datagen.dataset import Frame
 from datagen.frame_selection import select_frames
 from datagen.open_dataset import open_dataset
 from datagen.rigid import inverse
+from fusion.depth_tiles import depth_tiles
 from fusion.devices import load_kernels, resolve_device
 from fusion.evaluate import evaluate
 from fusion.find_blocks import find_blocks
-from fusion.frame_batch import MAX_BATCH, FrameUploader
+from fusion.frame_batch import FrameUploader
 from fusion.integrate import integrate_frames
+from fusion.integration import Integration
 from fusion.marching_cubes import marching_cubes
 from fusion.mesh import read_mesh
 from fusion.reconstruct import KERNEL_MODULES
 from fusion.visible_blocks import visible_blocks
 from fusion.volume import Volume
+
+
+BATCH = 16
 
 
 class PeakMemory:
@@ -68,16 +73,25 @@ def run_ours(frames, camera, options):
     load_kernels(KERNEL_MODULES, device=device)
     lengths = {"voxel_size": options.voxel_size, "truncation": options.truncation}
 
+    # Depth as the images store it, which is also how Open3D takes it below.
+    steps = [np.rint(f.depth / options.depth_scale).astype(np.uint16) for f in frames]
+    poses = [f.world_from_camera for f in frames]
+    colors = [f.color for f in frames]
+    batches = [slice(first, first + BATCH) for first in range(0, len(frames), BATCH)]
+
     def integrate():
-        volume = Volume(device=device, max_blocks=10**6, **lengths)
-        upload = FrameUploader(camera, device=device)
-        groups = [frames[first : first + MAX_BATCH] for first in range(0, len(frames), MAX_BATCH)]
-        for some in groups:
-            find_blocks(volume.table, upload([f.depth for f in some], [f.world_from_camera for f in some]), **lengths)
+        volume = Volume(device=device, max_blocks=10**6, storage=options.storage, **lengths)
+        upload = FrameUploader(camera, device=device, capacity=BATCH, depth_scale=options.depth_scale)
+        for some in batches:
+            batch = upload(steps[some], poses[some])
+            tiles = depth_tiles(batch, split_beyond=2 * options.truncation)
+            find_blocks(volume.table, batch, tiles, **lengths)
+        volume.table.sort()
         volume.reserve(volume.table.count)
-        for some in groups:
-            batch = upload([f.depth for f in some], [f.world_from_camera for f in some], [f.color for f in some])
-            integrate_blocks(volume, batch, visible_blocks(volume, batch))
+        for some in batches:
+            batch = upload(steps[some], poses[some], colors[some])
+            tiles = depth_tiles(batch, split_beyond=2 * options.truncation)
+            integrate_frames(volume, batch, visible_blocks(volume, batch, tiles), Integration())
         return volume
 
     def extract(volume):
@@ -256,6 +270,7 @@ def main():
     parser.add_argument("--depth-max", type=float, default=10.0)
     parser.add_argument("--frames")
     parser.add_argument("--device", default="cpu")
+    parser.add_argument("--storage", choices=["packed", "full"], default="packed")
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--contenders", nargs="+", choices=CONTENDERS, default=list(CONTENDERS))
     parser.add_argument("--contender", choices=CONTENDERS, help=argparse.SUPPRESS)

@@ -22,8 +22,8 @@ class FrameBatch:
 
     ``depth`` (frames, height, width) planar, 0 = invalid, in steps of ``depth_scale`` metres: uint16 as images store
     it, or float32 metres, then ``depth_scale`` is 1. ``color`` (frames, height, width) uint32, red in the lowest byte,
-    or None for depth alone; ``world_from_camera`` (frames,) mat44, and ``poses`` the same on the host in double
-    precision.
+    its confidence in the highest, or None for depth alone; ``pixel_weights`` (frames, height, width) float32, None
+    where all are 1; ``world_from_camera`` (frames,) mat44, and ``poses`` the same on the host in double precision.
     """
 
     camera: PinholeCamera
@@ -32,6 +32,7 @@ class FrameBatch:
     color: wp.array | None
     world_from_camera: wp.array
     poses: tuple[Matrix, ...]
+    pixel_weights: wp.array | None = None
 
     def __len__(self) -> int:
         """Return the number of frames."""

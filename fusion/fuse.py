@@ -10,6 +10,7 @@ from fusion.find_blocks import find_blocks
 from fusion.frame_batch import MAX_BATCH, FrameBatch, FrameUploader
 from fusion.frame_source import FrameSource
 from fusion.integrate import integrate_frames
+from fusion.integration import Integration
 from fusion.reconstruction_config import Lengths
 from fusion.stopwatch import Stopwatch
 from fusion.survey import SceneSurvey
@@ -66,7 +67,7 @@ def fuse(
         with clock("integrate"):
             batch = upload(depths, [source.poses[i] for i in frame_ids], colors)
             tiles = depth_tiles(batch, split_beyond=2 * volume.truncation)
-            integrate_frames(volume, batch, visible_blocks(volume, batch, tiles))
+            integrate_frames(volume, batch, visible_blocks(volume, batch, tiles), Integration())
         for _ in frame_ids:
             advance()
     return volume

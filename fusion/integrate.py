@@ -18,13 +18,15 @@ import warp as wp
 from fusion.block_table import BLOCK_SIDE
 from fusion.devices import Kernel, launch_in_slabs
 from fusion.frame_batch import FrameBatch
+from fusion.integration import Integration
 from fusion.volume import Volume
 from fusion.voxels import PACKING_IN_CPP, Voxels
 
 _ROWS = wp.constant(BLOCK_SIDE * BLOCK_SIDE)
 
 # Names as in the paper: d by (1), t_d by (2); (3) to (5) are sums here, and averages where the volume is read. Lanes
-# without a valid pixel read pixel 0 and are masked. `left` runs through the mask's bits, the frames.
+# without a valid pixel read pixel 0 and are masked. `left` runs through the mask's bits, the frames. BILINEAR,
+# WEIGHTED and DROP_OFF are constants of the compiler, so that what is not asked for costs nothing.
 _ROW_IN_CPP = """
     constexpr int LANES = 8;
     float distances[LANES] = {0}, weights[LANES] = {0}, reds[LANES] = {0}, greens[LANES] = {0}, blues[LANES] = {0};
@@ -42,72 +44,136 @@ _ROW_IN_CPP = """
         const float vz = p.data[1][0] * x + p.data[1][1] * y + p.data[1][2] * z + p.data[1][3];
         const float z0 = p.data[2][0] * x + p.data[2][1] * y + p.data[2][2] * z + p.data[2][3];
         const size_t image = (size_t)frame * height * width;
-        float d[LANES], z_voxel[LANES];
+        const auto *depths = depth.data + image;
+        float u[LANES], v[LANES], d[LANES], z_voxel[LANES], z_pixel[LANES];
         int seen[LANES], near[LANES], pixel[LANES], any_seen = 0, any_near = 0;
         for (int i = 0; i < LANES; ++i) {
             z_voxel[i] = z0 + i * p.data[2][0];
             const float inverse = 1.0f / z_voxel[i];
             // Shifted by half a pixel, truncation rounds to the nearest pixel centre.
-            const float u = (uz + i * p.data[0][0]) * inverse + 0.5f;
-            const float v = (vz + i * p.data[1][0]) * inverse + 0.5f;
-            seen[i] = (z_voxel[i] > 0.0f) & (u >= 0.0f) & (v >= 0.0f) & (u < right) & (v < bottom);
-            pixel[i] = seen[i] ? (int)v * width + (int)u : 0;
+            u[i] = (uz + i * p.data[0][0]) * inverse + 0.5f;
+            v[i] = (vz + i * p.data[1][0]) * inverse + 0.5f;
+            seen[i] = (z_voxel[i] > 0.0f) & (u[i] >= 0.0f) & (v[i] >= 0.0f) & (u[i] < right) & (v[i] < bottom);
+            pixel[i] = seen[i] ? (int)v[i] * width + (int)u[i] : 0;
         }
         for (int i = 0; i < LANES; ++i) {
-            const float z_pixel = depth_scale * (float)depth.data[image + pixel[i]];
-            d[i] = z_pixel - z_voxel[i];
-            seen[i] &= (z_pixel > 0.0f) & (d[i] >= -truncation);
-            near[i] = seen[i] & (d[i] <= truncation);
+            z_pixel[i] = depth_scale * (float)depths[pixel[i]];
+            d[i] = z_pixel[i] - z_voxel[i];
+            seen[i] &= (z_pixel[i] > 0.0f) & (d[i] >= (BILINEAR ? -2.0f : -1.0f) * rules.truncation);
             any_seen |= seen[i];
-            any_near |= near[i];
         }
         if (!any_seen) continue;
+        if (BILINEAR) {
+            for (int i = 0; i < LANES; ++i) {
+                const float au = seen[i] ? u[i] + 0.5f : 1.0f, av = seen[i] ? v[i] + 0.5f : 1.0f;
+                const int u1 = (int)au, v1 = (int)av;  // the pixel after the one before
+                const float du = au - u1, dv = av - v1;
+                const int left_u = u1 > 0 ? u1 - 1 : 0, right_u = u1 < width ? u1 : width - 1;
+                const int upper_v = (v1 > 0 ? v1 - 1 : 0) * width, lower_v = (v1 < height ? v1 : height - 1) * width;
+                const float a = (float)depths[upper_v + left_u], b = (float)depths[upper_v + right_u];
+                const float c = (float)depths[lower_v + left_u], e = (float)depths[lower_v + right_u];
+                const float low_ab = a < b ? a : b, low_ce = c < e ? c : e, low = low_ab < low_ce ? low_ab : low_ce;
+                const float high_ab = a > b ? a : b, high_ce = c > e ? c : e;
+                const float high = high_ab > high_ce ? high_ab : high_ce;
+                const float inverse = (1.0f - dv) * ((1.0f - du) / a + du / b) + dv * ((1.0f - du) / c + du / e);
+                const bool smooth = (low > 0.0f) & ((high - low) * depth_scale <= rules.truncation);
+                z_pixel[i] = smooth ? depth_scale / inverse : z_pixel[i];
+                d[i] = z_pixel[i] - z_voxel[i];
+                seen[i] &= d[i] >= -rules.truncation;
+            }
+        }
+        float w_new[LANES];
         for (int i = 0; i < LANES; ++i) {
-            const float ratio = d[i] / truncation;
+            const float ratio = d[i] / rules.truncation;
             const float t_d = ratio < 1.0f ? ratio : 1.0f;
-            distances[i] += seen[i] ? t_d : 0.0f;
-            weights[i] += seen[i] ? 1.0f : 0.0f;
+            w_new[i] = seen[i] ? (WEIGHTED ? images.pixel_weights.data[image + pixel[i]] : 1.0f) : 0.0f;
+            if (DROP_OFF) w_new[i] *= ratio < 0.0f ? 1.0f + ratio : 1.0f;
+            distances[i] += seen[i] ? w_new[i] * t_d : 0.0f;
+            weights[i] += w_new[i];
+            near[i] = seen[i] & (d[i] <= rules.truncation);
+            any_near |= near[i];
         }
         if (!any_near) continue;
         for (int i = 0; i < LANES; ++i) {
-            const unsigned int rgb = near[i] ? color.data[image + pixel[i]] : 0u;
-            reds[i] += (float)(rgb & 255u);
-            greens[i] += (float)((rgb >> 8) & 255u);
-            blues[i] += (float)((rgb >> 16) & 255u);
-            color_weights[i] += near[i] ? 1.0f : 0.0f;
+            const unsigned int rgba = near[i] ? images.color.data[image + pixel[i]] : 0u;
+            const float w_color = w_new[i] * ((float)(rgba >> 24) / 255.0f);
+            reds[i] += w_color * (float)(rgba & 255u);
+            greens[i] += w_color * (float)((rgba >> 8) & 255u);
+            blues[i] += w_color * (float)((rgba >> 16) & 255u);
+            color_weights[i] += w_color;
         }
     }
     const bool packed = voxels.packed.shape[0] > 0;
-    for (int i = 0; packed && i < LANES; ++i) {
+    for (int i = 0; i < LANES; ++i) {
         if (weights[i] == 0.0f) continue;
-        const unsigned long long bits = voxels.packed.data[voxel + i];
-        const float weight = weight_of_bits((unsigned int)(bits >> 16) & 0xffffu);
-        const float color_weight = weight * (float)(bits >> 56) * (1.0f / 255.0f);
-        voxels.packed.data[voxel + i] = pack_voxel(
-            voxel + i,
-            distances[i] + weight * (float)(short)(bits & 0xffffu) * (1.0f / 32767.0f),
-            weights[i] + weight,
-            reds[i] + color_weight * (float)((bits >> 32) & 255u),
-            greens[i] + color_weight * (float)((bits >> 40) & 255u),
-            blues[i] + color_weight * (float)((bits >> 48) & 255u),
-            color_weights[i] + color_weight);
-    }
-    for (int i = 0; !packed && i < LANES; ++i) {
-        if (weights[i] > 0.0f) {
-            voxels.distance_sum.data[voxel + i] += distances[i];
-            voxels.weight.data[voxel + i] += weights[i];
-            voxels.color_sum.data[voxel + i] += wp::vec3(reds[i], greens[i], blues[i]);
-            voxels.color_weight.data[voxel + i] += color_weights[i];
+        float held_distance, held_weight, held_color_weight;
+        wp::vec3 held_color;
+        if (packed) {
+            const unsigned long long bits = voxels.packed.data[voxel + i];
+            held_weight = weight_of_bits((unsigned int)(bits >> 16) & 0xffffu);
+            held_distance = held_weight * (float)(short)(bits & 0xffffu) * (1.0f / 32767.0f);
+            held_color_weight = held_weight * (float)(bits >> 56) * (1.0f / 255.0f);
+            held_color = held_color_weight * wp::vec3((float)((bits >> 32) & 255u), (float)((bits >> 40) & 255u),
+                                                      (float)((bits >> 48) & 255u));
+        } else {
+            held_distance = voxels.distance_sum.data[voxel + i];
+            held_weight = voxels.weight.data[voxel + i];
+            held_color_weight = voxels.color_weight.data[voxel + i];
+            held_color = voxels.color_sum.data[voxel + i];
+        }
+        float sum = held_weight + rules.sign * weights[i];
+        float distance = held_distance + rules.sign * distances[i];
+        float color_sum_weight = held_color_weight + rules.sign * color_weights[i];
+        wp::vec3 rgb = held_color + rules.sign * wp::vec3(reds[i], greens[i], blues[i]);
+        // What rounding leaves of a weight that was taken away is nothing.
+        if (sum < 1e-4f * held_weight) { sum = 0.0f; distance = 0.0f; color_sum_weight = 0.0f; }
+        if (color_sum_weight < 1e-4f * held_color_weight) { color_sum_weight = 0.0f; }
+        if (color_sum_weight == 0.0f) rgb = wp::vec3(0.0f, 0.0f, 0.0f);
+        const float kept = sum > rules.weight_cap ? rules.weight_cap / sum : 1.0f;
+        sum *= kept; distance *= kept; color_sum_weight *= kept; rgb = kept * rgb;
+        if (packed) {
+            voxels.packed.data[voxel + i] =
+                pack_voxel(voxel + i, distance, sum, rgb[0], rgb[1], rgb[2], color_sum_weight);
+        } else {
+            voxels.distance_sum.data[voxel + i] = distance;
+            voxels.weight.data[voxel + i] = sum;
+            voxels.color_sum.data[voxel + i] = rgb;
+            voxels.color_weight.data[voxel + i] = color_sum_weight;
         }
     }
 """
 
 
-@cache
-def _kernels(depth_type: type) -> tuple[Kernel, Kernel]:
-    """Return the kernel whose threads take a block each, for the CPU, and the one whose threads take a row."""
+@wp.struct
+class Images:
+    """What the frames show besides depth, each (frames, height, width).
 
-    @wp.func_native(PACKING_IN_CPP + _ROW_IN_CPP)
+    ``color`` has the colour's confidence in its highest byte; ``pixel_weights`` is empty where all are 1.
+    """
+
+    color: wp.array3d(dtype=wp.uint32)
+    pixel_weights: wp.array3d(dtype=float)
+
+
+@wp.struct
+class Rules:
+    """``truncation`` metres; ``sign`` +1 to add frames, −1 to remove them; ``weight_cap`` of a voxel."""
+
+    truncation: float
+    sign: float
+    weight_cap: float
+
+
+@cache
+def kernels(depth_type: type, *, bilinear: bool, weighted: bool, drop_off: bool) -> tuple[Kernel, Kernel]:
+    """Return two kernels for the given options.
+
+    The threads of the first take a block each, for the CPU; those of the second a row each, for CUDA.
+    """
+    constants = {"BILINEAR": bilinear, "WEIGHTED": weighted, "DROP_OFF": drop_off}
+    declared = "".join(f"constexpr bool {name} = {str(value).lower()};\n" for name, value in constants.items())
+
+    @wp.func_native(declared + PACKING_IN_CPP + _ROW_IN_CPP)
     def integrate_row(
         frame_mask: wp.uint32,
         x: float,
@@ -116,9 +182,9 @@ def _kernels(depth_type: type) -> tuple[Kernel, Kernel]:
         voxel: int,
         depth: wp.array3d(dtype=depth_type),
         depth_scale: float,
-        color: wp.array3d(dtype=wp.uint32),
+        images: Images,
         pixel_from_lattice: wp.array(dtype=wp.mat44),
-        truncation: float,
+        rules: Rules,
         voxels: Voxels,
     ) -> None:
         """Add all frames of ``frame_mask`` to the eight voxels from ``voxel`` on, at lattice position (x …, y, z)."""
@@ -131,26 +197,28 @@ def _kernels(depth_type: type) -> tuple[Kernel, Kernel]:
         block: wp.vec3i,
         depth: wp.array3d(dtype=depth_type),
         depth_scale: float,
-        color: wp.array3d(dtype=wp.uint32),
+        images: Images,
         pixel_from_lattice: wp.array(dtype=wp.mat44),
-        truncation: float,
+        rules: Rules,
         voxels: Voxels,
     ):
         y = row & 7
         z = row >> 3
         mask = masks[number, (y >> 2) + 2 * (z >> 2)]
         if mask != wp.uint32(0):
+            voxel = (number * _ROWS + row) * 8
+            lattice = wp.vec3(float(8 * block[0]), float(8 * block[1] + y), float(8 * block[2] + z))
             integrate_row(
                 mask,
-                float(8 * block[0]),
-                float(8 * block[1] + y),
-                float(8 * block[2] + z),
-                (number * _ROWS + row) * 8,
+                lattice[0],
+                lattice[1],
+                lattice[2],
+                voxel,
                 depth,
                 depth_scale,
-                color,
+                images,
                 pixel_from_lattice,
-                truncation,
+                rules,
                 voxels,
             )
 
@@ -161,19 +229,18 @@ def _kernels(depth_type: type) -> tuple[Kernel, Kernel]:
         blocks: wp.array(dtype=wp.vec3i),
         depth: wp.array3d(dtype=depth_type),
         depth_scale: float,
-        color: wp.array3d(dtype=wp.uint32),
+        images: Images,
         pixel_from_lattice: wp.array(dtype=wp.mat44),
-        truncation: float,
+        rules: Rules,
         voxels: Voxels,
     ) -> None:
         number = wp.tid() + first
         any_frame = masks[number, 0] | masks[number, 1] | masks[number, 2] | masks[number, 3]
         if any_frame == wp.uint32(0):
             return
+        block = blocks[number]
         for row in range(_ROWS):
-            integrate(
-                number, row, masks, blocks[number], depth, depth_scale, color, pixel_from_lattice, truncation, voxels
-            )
+            integrate(number, row, masks, block, depth, depth_scale, images, pixel_from_lattice, rules, voxels)
 
     @wp.kernel(module="unique", enable_backward=False)
     def integrate_rows(
@@ -182,23 +249,42 @@ def _kernels(depth_type: type) -> tuple[Kernel, Kernel]:
         blocks: wp.array(dtype=wp.vec3i),
         depth: wp.array3d(dtype=depth_type),
         depth_scale: float,
-        color: wp.array3d(dtype=wp.uint32),
+        images: Images,
         pixel_from_lattice: wp.array(dtype=wp.mat44),
-        truncation: float,
+        rules: Rules,
         voxels: Voxels,
     ) -> None:
         index = wp.tid() + first
         number = index / _ROWS
         row = index - number * _ROWS
-        integrate(number, row, masks, blocks[number], depth, depth_scale, color, pixel_from_lattice, truncation, voxels)
+        integrate(number, row, masks, blocks[number], depth, depth_scale, images, pixel_from_lattice, rules, voxels)
 
     return integrate_blocks, integrate_rows
 
 
-def integrate_frames(volume: Volume, batch: FrameBatch, masks: wp.array) -> None:
-    """Add a batch of frames to the volume's sums, over what they see of its blocks (``visible_blocks``)."""
+def integrate_frames(
+    volume: Volume, batch: FrameBatch, masks: wp.array, options: Integration, *, remove: bool = False
+) -> None:
+    """Add a batch of frames to the volume's sums, or take it away, over what they see of its blocks.
+
+    ``masks`` come from ``visible_blocks``. Removing what was added with the same options leaves the sums as they were
+    before, to rounding.
+    """
     assert batch.color is not None, "integration takes frames with colour"
-    by_block, by_row = _kernels(batch.depth.dtype)
+    by_block, by_row = kernels(
+        batch.depth.dtype,
+        bilinear=options.depth_sampling == "bilinear",
+        weighted=batch.pixel_weights is not None,
+        drop_off=options.drop_off,
+    )
+    images = Images()
+    images.color = batch.color
+    if batch.pixel_weights is not None:
+        images.pixel_weights = batch.pixel_weights
+    rules = Rules()
+    rules.truncation = volume.truncation
+    rules.sign = -1.0 if remove else 1.0
+    rules.weight_cap = options.weight_cap or 3.0e38
     on_cuda = volume.device.is_cuda
     launch_in_slabs(
         by_row if on_cuda else by_block,
@@ -208,9 +294,9 @@ def integrate_frames(volume: Volume, batch: FrameBatch, masks: wp.array) -> None
             volume.table.blocks,
             batch.depth,
             batch.depth_scale,
-            batch.color,
+            images,
             batch.pixel_from_lattice(volume.voxel_size),
-            volume.truncation,
+            rules,
         ],
         outputs=[volume.voxels],
         device=volume.device,

@@ -10,6 +10,7 @@ from fusion.depth_tiles import depth_tiles
 from fusion.find_blocks import find_blocks
 from fusion.frame_batch import FrameUploader
 from fusion.integrate import integrate_frames
+from fusion.integration import Integration
 from fusion.marching_cubes import marching_cubes
 from fusion.visible_blocks import visible_blocks
 from fusion.volume import Volume
@@ -29,7 +30,7 @@ def fuse(frames, device, *, batch_size=32, order=None, blocks_of=None):
     volume.reserve(volume.table.count)
     for batch in batches(upload, [frames[i] for i in order] if order is not None else frames, batch_size):
         tiles = depth_tiles(batch, split_beyond=2 * TRUNCATION)
-        integrate_frames(volume, batch, visible_blocks(volume, batch, tiles))
+        integrate_frames(volume, batch, visible_blocks(volume, batch, tiles), Integration())
     return volume
 
 

@@ -7,6 +7,7 @@ from fusion.depth_tiles import depth_tiles
 from fusion.find_blocks import find_blocks
 from fusion.frame_batch import FrameUploader
 from fusion.integrate import integrate_frames
+from fusion.integration import Integration
 from fusion.marching_cubes import marching_cubes
 from fusion.visible_blocks import visible_blocks
 from fusion.volume import Volume
@@ -23,7 +24,7 @@ def volume(device):
     tiles = depth_tiles(batch, split_beyond=0.12)
     find_blocks(volume.table, batch, tiles, truncation=0.06, voxel_size=0.02)
     volume.reserve(volume.table.count)
-    integrate_frames(volume, batch, visible_blocks(volume, batch, tiles))
+    integrate_frames(volume, batch, visible_blocks(volume, batch, tiles), Integration())
     return volume
 
 
