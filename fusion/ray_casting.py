@@ -1,9 +1,7 @@
 """Ray casting: the surface as a camera sees it, straight from the volume.
 
-A ray passes blocks that are missing or without surface in one step each. In a block with surface it goes from cell to
-cell, and where a cell holds surface, the field along the ray is a cubic whose first fall through zero is found to
-rounding: no step length is chosen and nothing is stepped over. A rise through zero is a back face, where the ray ends
-without surface. Surface is where marching cubes has it, in cells whose eight corners were all seen.
+Surface is where marching cubes has it, in cells whose eight corners were all seen, but smooth within a cell where the
+mesh is flat.
 """
 
 from collections.abc import Sequence
@@ -16,32 +14,17 @@ from numpy.typing import NDArray
 from datagen.camera import PinholeCamera
 from datagen.errors import InputError
 from datagen.rigid import Matrix, rigid
-from fusion.block_table import BLOCK_VOXELS, find_block
 from fusion.devices import launch_in_slabs
+from fusion.ray_traversal import Hit, Ray, Scene, cast_ray, corner_distances, corner_voxel
 from fusion.surface_cells import SurfaceCells, find_surface_cells
-from fusion.trilinear import (
-    BACK_FACE,
-    NO_CROSSING,
-    Corners,
-    cubic_along,
-    cubic_at,
-    first_crossing,
-    trilinear_gradient,
-)
+from fusion.trilinear import trilinear_gradient
 from fusion.volume import Volume
-from fusion.voxels import Voxels, distance_of, sums_of
+from fusion.voxels import sums_of
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-_VOXELS = wp.constant(BLOCK_VOXELS)
-
-_ENTRY_TOLERANCE = wp.constant(1.0e-4)
-"""A ray that enters its first surface cell this little below zero, in truncations, entered at the surface: the corners
-of the cell before were all outside, and rounding alone put it within."""
-
 _LEAST_SLOPE = wp.constant(1.0e-9)
 """Stands for 0 in a ray's direction, so that its reciprocal is finite."""
-
 
 FARTHEST = 1 << 30
 """Of a camera from the world's origin, in voxels, which are counted in 32 bits."""
@@ -61,61 +44,6 @@ class RayCast:
     color: NDArray[np.uint8]
 
 
-@wp.struct
-class Scene:
-    """What rays are cast into: see ``SurfaceCells``; ``keys`` are the block table's."""
-
-    keys: wp.array(dtype=wp.int64)
-    numbers: wp.array(dtype=int)
-    layers: wp.array(dtype=wp.uint64)
-    neighbours: wp.array2d(dtype=int)
-    low: wp.vec3i
-    high: wp.vec3i
-    voxels: Voxels
-
-
-@wp.struct
-class Ray:
-    """``origin_cell`` + ``origin`` + t·``direction`` in voxels, t in metres of planar depth.
-
-    ``origin_cell`` is whole, so that positions keep their digits far from the world's origin.
-    """
-
-    origin_cell: wp.vec3i
-    origin: wp.vec3
-    direction: wp.vec3
-    inverse: wp.vec3
-
-
-@wp.struct
-class Hit:
-    """Where a ray met the surface: ``depth`` (0 for nowhere), the ``cell`` of block ``number``, and where ``at`` in it."""
-
-    depth: float
-    number: int
-    cell: wp.vec3i
-    at: wp.vec3
-
-
-@wp.func
-def corner_voxel(neighbours: wp.array2d(dtype=int), number: int, cell: wp.vec3i, corner: int) -> int:
-    """Return the index of a cell's corner; for cells whose corners all exist."""
-    x = cell[0] + (corner & 1)
-    y = cell[1] + ((corner >> 1) & 1)
-    z = cell[2] + (corner >> 2)
-    holder = neighbours[number, (x >> 3) + 2 * (y >> 3) + 4 * (z >> 3)]
-    return holder * _VOXELS + (z & 7) * 64 + (y & 7) * 8 + (x & 7)
-
-
-@wp.func
-def corner_distances(scene: Scene, number: int, cell: wp.vec3i) -> Corners:
-    """Return the average distances at a cell's corners, in truncations."""
-    v = Corners()
-    for corner in range(8):
-        v[corner] = distance_of(scene.voxels, corner_voxel(scene.neighbours, number, cell, corner))
-    return v
-
-
 @wp.func
 def corner_colors(scene: Scene, hit: Hit) -> wp.vec3:
     """Return the colour at a hit, interpolated among the corners that have one; black where none has."""
@@ -132,140 +60,6 @@ def corner_colors(scene: Scene, hit: Hit) -> wp.vec3:
     if share > 0.0:
         return mixed / share
     return wp.vec3()
-
-
-@wp.func
-def exit_times(ray: Ray, corner: wp.vec3i, side: int) -> wp.vec3:
-    """Return when, along each axis, the ray leaves the cube of ``side`` voxels from lattice point ``corner`` on."""
-    t = wp.vec3()
-    for axis in range(3):
-        wall = corner[axis] - ray.origin_cell[axis]
-        if ray.direction[axis] > 0.0:
-            wall += side
-        t[axis] = (float(wall) - ray.origin[axis]) * ray.inverse[axis]
-    return t
-
-
-@wp.func
-def earliest(t: wp.vec3) -> int:
-    """Return the axis of the least component."""
-    if t[0] < t[1]:
-        return wp.where(t[0] < t[2], 0, 2)
-    return wp.where(t[1] < t[2], 1, 2)
-
-
-@wp.func
-def position_in(ray: Ray, corner: wp.vec3i, t: float) -> wp.vec3:
-    """Return where the ray is at t, in voxels from lattice point ``corner``."""
-    offset = ray.origin_cell - corner
-    return wp.vec3(float(offset[0]), float(offset[1]), float(offset[2])) + ray.origin + t * ray.direction
-
-
-@wp.func
-def cell_at(position: wp.vec3) -> wp.vec3i:
-    """Return the cell of a block that holds a position, the nearest one where rounding put it outside."""
-    cell = wp.vec3i()
-    for axis in range(3):
-        cell[axis] = wp.clamp(int(wp.floor(position[axis])), 0, 7)
-    return cell
-
-
-@wp.func
-def crossing_in_cell(c: wp.vec4, side_before: int) -> float:
-    """Return the first crossing of a cell's cubic, which rounding must not hide between this cell and the one before.
-
-    ``side_before`` is the sign with which the ray left the surface cell before this one, 0 if there was none.
-    """
-    if side_before > 0:
-        if c[0] < 0.0:
-            return 0.0
-    if side_before < 0:
-        if c[0] >= 0.0:
-            return BACK_FACE
-    if side_before == 0:
-        if c[0] < 0.0:
-            if c[0] > -_ENTRY_TOLERANCE:
-                return first_crossing(wp.vec4(0.0, c[1], c[2], c[3]))
-    return first_crossing(c)
-
-
-@wp.func
-def cross_block(
-    scene: Scene, ray: Ray, number: int, block: wp.vec3i, t_start: float, t_end: float, side_before: int
-) -> tuple[float, int, wp.vec3i, wp.vec3]:
-    """Follow the ray through a block's cells, from t_start to t_end.
-
-    Returns the depth of the surface, 0 where there is none and BACK_FACE where the ray ends at one; the sign with which
-    it left the last cell if that held surface, else 0; and the cell of the surface, and where in it.
-    """
-    corner = 8 * block
-    t = float(t_start)
-    side = int(side_before)
-    cell = cell_at(position_in(ray, corner, t))
-    inside = int(1)
-    while inside == 1 and t < t_end:
-        times = exit_times(ray, corner + cell, 1)
-        axis = earliest(times)
-        t_exit = wp.clamp(times[axis], t, t_end)
-        bit = wp.uint64(8 * cell[1] + cell[0])
-        if (scene.layers[8 * number + cell[2]] >> bit) & wp.uint64(1) != wp.uint64(0):
-            a = position_in(ray, corner + cell, t)
-            b = position_in(ray, corner + cell, t_exit)
-            c = cubic_along(corner_distances(scene, number, cell), a, b)
-            s = crossing_in_cell(c, side)
-            if s == BACK_FACE:
-                return BACK_FACE, 0, cell, a
-            if s != NO_CROSSING:
-                return t + s * (t_exit - t), 0, cell, a + s * (b - a)
-            side = wp.where(cubic_at(c, 1.0) < 0.0, -1, 1)
-        else:
-            side = 0
-        t = t_exit
-        cell[axis] = cell[axis] + wp.where(ray.direction[axis] > 0.0, 1, -1)
-        if cell[axis] < 0 or cell[axis] > 7:
-            inside = 0
-    return 0.0, side, cell, wp.vec3()
-
-
-@wp.func
-def cast_ray(scene: Scene, ray: Ray, depth_min: float, depth_max: float) -> Hit:
-    """Return where a ray first meets the surface from outside."""
-    hit = Hit()
-    t = float(depth_min)
-    t_end = float(depth_max)
-    for axis in range(3):
-        one = (float(8 * scene.low[axis] - ray.origin_cell[axis]) - ray.origin[axis]) * ray.inverse[axis]
-        other = (float(8 * scene.high[axis] + 8 - ray.origin_cell[axis]) - ray.origin[axis]) * ray.inverse[axis]
-        t = wp.max(t, wp.min(one, other))
-        t_end = wp.min(t_end, wp.max(one, other))
-    start = position_in(ray, 8 * scene.low, t)
-    block = wp.vec3i()
-    for axis in range(3):
-        block[axis] = wp.clamp(scene.low[axis] + int(wp.floor(start[axis] / 8.0)), scene.low[axis], scene.high[axis])
-    side = int(0)
-    while t < t_end:
-        times = exit_times(ray, 8 * block, 8)
-        axis = earliest(times)
-        t_exit = wp.clamp(times[axis], t, t_end)
-        number = find_block(scene.keys, scene.numbers, block)
-        if number < 0:
-            side = 0
-        else:
-            depth, side_after, cell, at = cross_block(scene, ray, number, block, t, t_exit, side)
-            if depth == BACK_FACE:
-                return hit
-            if depth > 0.0:
-                hit.depth = depth
-                hit.number = number
-                hit.cell = cell
-                hit.at = at
-                return hit
-            side = side_after
-        t = t_exit
-        block[axis] = block[axis] + wp.where(ray.direction[axis] > 0.0, 1, -1)
-        if block[axis] < scene.low[axis] or block[axis] > scene.high[axis]:
-            return hit
-    return hit
 
 
 @wp.kernel
@@ -387,9 +181,9 @@ def cast_rays(
 ) -> RayCast:
     """See the volume's surface from a pose, one ray through each pixel's centre.
 
-    ``depth_min``, ``depth_max`` (planar metres) bound the rays; voxels of less weight than ``min_weight`` count as
-    unseen. A pixel has no surface where its ray meets none, or meets one from behind first. Raises InputError for a
-    pose that is not rigid and for bounds that are none.
+    ``depth_min``, ``depth_max`` (planar metres) bound the rays; a voxel counts as seen where its weight is over
+    ``min_weight``. A pixel has no surface where its ray meets none, or meets one from behind first. Raises InputError
+    for a pose that is not rigid and for bounds that are none.
     """
     bounds = {"depth_min": depth_min, "depth_max": depth_max, "min_weight": min_weight}
     depth, normals, color = _cast(volume, camera, [world_from_camera], **bounds, shaded=True)

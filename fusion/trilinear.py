@@ -107,9 +107,8 @@ def solve_falling(c: wp.vec4, start: float, end: float) -> float:
         following = 0.5 * (low + high)
         if slope < 0.0:
             newton = s - value / slope
-            if newton >= low:
-                if newton <= high:
-                    following = newton
+            if newton >= low and newton <= high:
+                following = newton
         change = wp.abs(following - s)
         s = following
         if change <= _CONVERGED:
