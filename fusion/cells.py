@@ -11,9 +11,10 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from warp.utils import array_scan
 
+from datagen.errors import InputError
 from fusion.block_table import BLOCK_SIDE, BLOCK_VOXELS, BlockTable, find_block
 from fusion.devices import launch_in_slabs
 from fusion.layers import NONE, Cells, case_of, corners_back, corners_on, is_wanted, lowest_bit, number_of, slot_of
@@ -169,6 +170,14 @@ def _list_around(
     index, step = wp.tid()
     offset = wp.vec3i(step % side, (step / side) % side, step / (side * side)) + wp.vec3i(first_step)
     around[index, step] = find_block(keys, numbers, blocks[listed[index]] + offset)
+
+
+def block_numbers(volume: Volume, blocks: ArrayLike) -> NDArray[np.int32]:
+    """Return block numbers (n,) ascending and without repetition; raises InputError where there is no such block."""
+    numbers = np.unique(np.asarray(blocks, dtype=np.int64).reshape(-1))
+    if len(numbers) and not (numbers[0] >= 0 and numbers[-1] < volume.table.count):
+        raise InputError(f"block {numbers[[0, -1]].tolist()}: the volume has {volume.table.count} blocks, from 0 on")
+    return numbers.astype(np.int32)
 
 
 def blocks_around(table: BlockTable, numbers: NDArray[np.int32], *, steps: range) -> NDArray[np.int32]:

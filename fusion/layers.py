@@ -6,8 +6,12 @@ found together by a few operations on words, and a vertex's number by counting b
 
 import warp as wp
 
+from fusion.block_table import BLOCK_VOXELS
+
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
+_VOXELS = wp.constant(BLOCK_VOXELS)
+_ALL = wp.constant(wp.uint64(0xFFFFFFFFFFFFFFFF))
 NONE = wp.constant(wp.uint64(0))
 """The word of no voxels."""
 _ONE = wp.constant(wp.uint64(1))
@@ -159,3 +163,25 @@ def case_of(low: wp.vec4ul, high: wp.vec4ul, bit: int) -> int:
         case |= int((low[corner] >> wp.uint64(bit)) & _ONE) << corner
         case |= int((high[corner] >> wp.uint64(bit)) & _ONE) << (corner + 4)
     return case
+
+
+@wp.func
+def step_along(axis: int) -> wp.vec3i:
+    """Return the unit step along an axis."""
+    return wp.vec3i(int(axis == 0), int(axis == 1), int(axis == 2))
+
+
+@wp.func
+def share_of(part: int, shares: int) -> wp.uint64:
+    """Return the word of the voxels in one of equal ``shares`` of a layer."""
+    if shares == 1:
+        return _ALL
+    bits = 64 / shares
+    return below(bits) << wp.uint64(part * bits)
+
+
+@wp.func
+def voxel_of(cells: Cells, slot: int, x: int, y: int, z: int) -> int:
+    """Return the index of the voxel at (x, y, z), each from 0 to 8, seen from a slot."""
+    holder = cells.upper[slot, (x >> 3) | ((y >> 3) << 1) | ((z >> 3) << 2)]
+    return number_of(cells, holder) * _VOXELS + (z & 7) * 64 + (y & 7) * 8 + (x & 7)

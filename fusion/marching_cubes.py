@@ -10,22 +10,20 @@ from functools import cache
 
 import numpy as np
 import warp as wp
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from datagen.errors import InputError
-from fusion.block_table import BLOCK_VOXELS
-from fusion.cells import find_cells
+from fusion.cells import block_numbers, find_cells
 from fusion.devices import launch_in_slabs
-from fusion.layers import NONE, Cells, below, case_of, corners_on, lowest_bit, number_of
+from fusion.layers import NONE, Cells, below, corners_on, lowest_bit, number_of, share_of, step_along, voxel_of
 from fusion.marching_cubes_table import EDGE_CORNERS, triangle_table
 from fusion.mesh import Mesh
+from fusion.vertex_normals import vertex_normals
 from fusion.volume import Volume
-from fusion.voxels import Voxels, VoxelSums, sums_of
+from fusion.voxel_average import average_of, color_along
+from fusion.voxels import Voxels
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-_VOXELS = wp.constant(BLOCK_VOXELS)
-_ALL = wp.constant(wp.uint64(0xFFFFFFFFFFFFFFFF))
 _CUDA_SHARES = 8
 
 
@@ -33,12 +31,14 @@ _CUDA_SHARES = 8
 class Surface:
     """A mesh on the volume's device, and the cells that it comes from.
 
-    ``vertices`` (n,) vec3 in metres in the world frame, ``triangles`` (m, 3), ``colors`` (n,) vec3ub.
+    ``vertices`` (n,) vec3 in metres in the world frame, ``triangles`` (m, 3), ``colors`` (n,) vec3ub, ``normals`` (n,)
+    vec3 where they were asked for.
     """
 
     vertices: wp.array
     triangles: wp.array
     colors: wp.array
+    normals: wp.array | None
     cells: Cells
 
 
@@ -55,52 +55,67 @@ class CaseTables:
 
 
 @wp.func
-def share_of(part: int, shares: int) -> wp.uint64:
-    """Return the word of the voxels in one of equal ``shares`` of a layer."""
-    if shares == 1:
-        return _ALL
-    bits = 64 / shares
-    return below(bits) << wp.uint64(part * bits)
-
-
-@wp.func
-def step_along(axis: int) -> wp.vec3i:
-    """Return the unit step along an axis."""
-    return wp.vec3i(int(axis == 0), int(axis == 1), int(axis == 2))
-
-
-@wp.func
 def vertex_number(cells: Cells, layer: int, axis: int, bit: int) -> int:
-    """Return the number of the vertex on the edge of a layer's voxel along ``axis``."""
+    """Return the number of the vertex on the edge along ``axis`` from a layer's voxel."""
     number = cells.starts[layer][0] + wp.bit_count(cells.edges[layer, axis] & below(bit))
     for before in range(axis):
         number += wp.bit_count(cells.edges[layer, before])
     return number
 
 
-@wp.func
-def voxel_of(cells: Cells, slot: int, x: int, y: int, z: int) -> int:
-    """Return the index of the voxel at (x, y, z), each from 0 to 8, seen from a slot."""
-    holder = cells.upper[slot, (x >> 3) | ((y >> 3) << 1) | ((z >> 3) << 2)]
-    return number_of(cells, holder) * _VOXELS + (z & 7) * 64 + (y & 7) * 8 + (x & 7)
+# In C++ for its local arrays: the edges of the eight layers around the cells are looked up once for all of them.
+_TRIANGLES_IN_CPP = """
+    struct { const wp::uint64 *words; int first[3]; } owners[8];
+    for (int corner = 0; corner < 8; ++corner) {
+        const int beyond = (corner & 3) | (z == 7 ? corner & 4 : 0);
+        const int holder = cells.upper.data[8 * slot + beyond];
+        const int layer = 8 * holder + ((z + (corner >> 2)) & 7);
+        const wp::uint64 *words = holder < 0 ? nullptr : cells.edges.data + 3 * (size_t)layer;
+        owners[corner].words = words;
+        int number = holder < 0 ? 0 : cells.starts.data[layer].c[0];
+        for (int axis = 0; axis < 3; ++axis) {
+            owners[corner].first[axis] = number;
+            number += words ? wp::bit_count(words[axis]) : 0;
+        }
+    }
+    int *corner_number = triangles.data + 3 * (size_t)triangle;
+    for (wp::uint64 left = active; left != 0; left &= left - 1) {
+        const int bit = wp::bit_count((left - 1) & ~left);
+        int pattern = 0;
+        for (int corner = 0; corner < 4; ++corner) {
+            pattern |= (int)((below.c[corner] >> bit) & 1) << corner;
+            pattern |= (int)((above.c[corner] >> bit) & 1) << (corner + 4);
+        }
+        const int corners = 3 * counts.data[pattern];
+        if ((share >> bit) & 1) {
+            for (int i = 0; i < corners; ++i) {
+                const int edge = table.data[pattern * table.shape[1] + i];
+                const int x = (bit & 7) + (edge & 1), y = (bit >> 3) + ((edge >> 1) & 1), axis = edge >> 3;
+                const auto &owner = owners[(x >> 3) | ((y >> 3) << 1) | (edge & 4)];
+                const wp::uint64 before = ((wp::uint64)1 << (8 * (y & 7) + (x & 7))) - 1;
+                corner_number[i] = owner.first[axis] + wp::bit_count(owner.words[axis] & before);
+            }
+        }
+        corner_number += corners;
+    }
+"""
 
 
-@wp.func
-def color_along(a: VoxelSums, b: VoxelSums, along: float) -> wp.vec3ub:
-    """Return the colour between two voxels, one without colour left out; black where neither has any."""
-    share_a = wp.where(a.color_weight > 0.0, 1.0 - along, 0.0)
-    share_b = wp.where(b.color_weight > 0.0, along, 0.0)
-    mixed = wp.vec3()
-    if share_a > 0.0:
-        mixed += share_a / a.color_weight * a.color
-    if share_b > 0.0:
-        mixed += share_b / b.color_weight * b.color
-    if share_a + share_b > 0.0:
-        mixed = mixed / (share_a + share_b)
-    rounded = wp.vec3ub()
-    for channel in range(3):
-        rounded[channel] = wp.uint8(wp.clamp(mixed[channel] + 0.5, 0.0, 255.0))
-    return rounded
+@wp.func_native(_TRIANGLES_IN_CPP)
+def emit_triangles(
+    cells: Cells,
+    slot: int,
+    z: int,
+    active: wp.uint64,
+    share: wp.uint64,
+    below: wp.vec4ul,
+    above: wp.vec4ul,
+    counts: wp.array(dtype=int),
+    table: wp.array2d(dtype=int),
+    triangle: int,
+    triangles: wp.array2d(dtype=int),
+) -> None:
+    """Write the triangles of those ``active`` cells of a layer that are in ``share``, from number ``triangle`` on."""
 
 
 @wp.kernel
@@ -129,14 +144,12 @@ def _emit_vertices(
             bit = lowest_bit(left)
             x = bit & 7
             y = bit >> 3
-            sums_a = sums_of(voxels, voxel_of(cells, slot, x, y, z))
-            sums_b = sums_of(voxels, voxel_of(cells, slot, x + step[0], y + step[1], z + step[2]))
-            a = sums_a.distance / sums_a.weight
-            b = sums_b.distance / sums_b.weight
-            along = a / (a - b)
+            a = average_of(voxels, voxel_of(cells, slot, x, y, z))
+            b = average_of(voxels, voxel_of(cells, slot, x + step[0], y + step[1], z + step[2]))
+            along = a[0] / (a[0] - b[0])
             start = wp.vec3(float(8 * block[0] + x), float(8 * block[1] + y), float(8 * block[2] + z))
             vertices[vertex] = voxel_size * (start + along * wp.vec3(float(step[0]), float(step[1]), float(step[2])))
-            colors[vertex] = color_along(sums_a, sums_b, along)
+            colors[vertex] = color_along(a, b, along)
             vertex += 1
             left = left & (left - wp.uint64(1))
 
@@ -160,65 +173,68 @@ def _emit_triangles(
     z = layer & 7
     low = corners_on(cells.inside, cells.upper, slot, z)
     high = corners_on(cells.inside, cells.upper, slot, z + 1)
-    left = cells.active[layer]
-    while left != NONE:
-        bit = lowest_bit(left)
-        case = case_of(low, high, bit)
-        if ((share >> wp.uint64(bit)) & wp.uint64(1)) != NONE:
-            for i in range(3 * counts[case]):
-                edge = table[case, i]
-                x = (bit & 7) + (edge & 1)
-                y = (bit >> 3) + ((edge >> 1) & 1)
-                top = z + ((edge >> 2) & 1)
-                holder = cells.upper[slot, (x >> 3) | ((y >> 3) << 1) | ((top >> 3) << 2)]
-                number = vertex_number(cells, 8 * holder + (top & 7), edge >> 3, 8 * (y & 7) + (x & 7))
-                triangles[triangle + i / 3, i % 3] = number
-        triangle += counts[case]
-        left = left & (left - wp.uint64(1))
+    emit_triangles(cells, slot, z, cells.active[layer], share, low, high, counts, table, triangle, triangles)
 
 
-def marching_cubes(volume: Volume, *, min_weight: float = 0.0, blocks: ArrayLike | None = None) -> Mesh:
+def marching_cubes(
+    volume: Volume, *, min_weight: float = 0.0, normals: bool = False, blocks: ArrayLike | None = None
+) -> Mesh:
     """Return the zero level of the volume's average distance as a mesh in world coordinates, with colours.
 
     Vertices are placed by linear interpolation along voxel edges. Where the volume holds no surface the mesh is empty.
-    A voxel counts as seen where its weight is over ``min_weight``. ``blocks`` (n,) numbers of blocks: mesh only their
-    cells, with all vertices of these, at a cost that goes with n; a cell belongs to the block of its lowest corner.
+    A voxel counts as seen where its weight is over ``min_weight`` (≥ 0). ``normals`` asks for the vertices' normals.
+    ``blocks`` (n,) are numbers of blocks: only their cells are meshed, with all vertices of these, at a cost that goes
+    with n; a cell belongs to the block of its lowest corner. Raises InputError where there is no such block.
     """
-    surface = extract_surface(volume, min_weight=min_weight, blocks=blocks)
-    return Mesh(vertices=surface.vertices.numpy(), triangles=surface.triangles.numpy(), colors=surface.colors.numpy())
+    return mesh_of(extract_surface(volume, min_weight=min_weight, normals=normals, blocks=blocks))
 
 
-def extract_surface(volume: Volume, *, min_weight: float = 0.0, blocks: ArrayLike | None = None) -> Surface:
+def mesh_of(surface: Surface) -> Mesh:
+    """Return a surface as a mesh on the host."""
+    return Mesh(
+        vertices=surface.vertices.numpy(),
+        triangles=surface.triangles.numpy(),
+        colors=surface.colors.numpy(),
+        normals=None if surface.normals is None else surface.normals.numpy(),
+    )
+
+
+def extract_surface(
+    volume: Volume, *, min_weight: float = 0.0, normals: bool = False, blocks: ArrayLike | None = None
+) -> Surface:
     """Do what ``marching_cubes`` does and leave the mesh on the device."""
+    assert min_weight >= 0, "an unseen voxel's weight is 0"
     device = volume.device
     tables = _case_tables(str(device.alias))
-    cells = find_cells(volume, tables.counts, meshed=_block_numbers(volume, blocks), min_weight=min_weight)
+    meshed = None if blocks is None else block_numbers(volume, blocks)
+    cells = find_cells(volume, tables.counts, meshed=meshed, min_weight=min_weight)
     layers = len(cells.starts) - 1
     vertex_total, triangle_total = (int(total) for total in cells.starts[layers:].numpy()[0])
-    surface = Surface(
-        vertices=wp.empty(vertex_total, dtype=wp.vec3, device=device),
-        triangles=wp.empty((triangle_total, 3), dtype=int, device=device),
-        colors=wp.empty(vertex_total, dtype=wp.vec3ub, device=device),
-        cells=cells,
-    )
-    if triangle_total == 0:
-        return surface
+    vertices = wp.empty(vertex_total, dtype=wp.vec3, device=device)
+    colors = wp.empty(vertex_total, dtype=wp.vec3ub, device=device)
+    triangles = wp.empty((triangle_total, 3), dtype=int, device=device)
     shares = _CUDA_SHARES if device.is_cuda else 1
     launch_in_slabs(
         _emit_vertices,
         dim=shares * layers,
         inputs=[shares, volume.table.blocks, cells, volume.voxels, volume.voxel_size],
-        outputs=[surface.vertices, surface.colors],
+        outputs=[vertices, colors],
         device=device,
     )
     launch_in_slabs(
         _emit_triangles,
         dim=shares * layers,
         inputs=[shares, cells, tables.counts, tables.edges],
-        outputs=[surface.triangles],
+        outputs=[triangles],
         device=device,
     )
-    return surface
+    return Surface(
+        vertices=vertices,
+        triangles=triangles,
+        colors=colors,
+        normals=vertex_normals(volume, cells, vertices=vertex_total, min_weight=min_weight) if normals else None,
+        cells=cells,
+    )
 
 
 @cache
@@ -228,12 +244,3 @@ def _case_tables(device: str) -> CaseTables:
     return CaseTables(
         counts=wp.array(counts, dtype=int, device=device), edges=wp.array(packed, dtype=int, device=device)
     )
-
-
-def _block_numbers(volume: Volume, blocks: ArrayLike | None) -> NDArray[np.int32] | None:
-    if blocks is None:
-        return None
-    numbers = np.unique(np.asarray(blocks, dtype=np.int64).reshape(-1))
-    if len(numbers) and not (numbers[0] >= 0 and numbers[-1] < volume.table.count):
-        raise InputError(f"block {numbers[[0, -1]].tolist()}: the volume has {volume.table.count} blocks, from 0 on")
-    return numbers.astype(np.int32)

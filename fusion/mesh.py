@@ -1,4 +1,4 @@
-"""Triangle meshes with vertex colours."""
+"""Triangle meshes with vertex colours and normals."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,22 +17,28 @@ class Mesh:
     """A triangle mesh in the world frame.
 
     ``vertices`` (n, 3) float32 metres; ``triangles`` (m, 3) int32, counter-clockwise seen from outside; ``colors``
-    (n, 3) uint8 RGB, sRGB-encoded as in the images, or None.
+    (n, 3) uint8 RGB, sRGB-encoded as in the images, or None; ``normals`` (n, 3) float32 of length 1, pointing outside,
+    or None.
     """
 
     vertices: NDArray[np.float32]
     triangles: NDArray[np.int32]
     colors: NDArray[np.uint8] | None = None
+    normals: NDArray[np.float32] | None = None
 
 
 def write_ply(path: Path, mesh: Mesh) -> None:
-    """Write a mesh atomically as binary PLY."""
-    exported = trimesh.Trimesh(mesh.vertices, mesh.triangles, vertex_colors=mesh.colors, process=False)
-    write_bytes(path, exported.export(file_type="ply"))
+    """Write a mesh atomically as binary PLY, with the colours and normals that it has."""
+    exported = trimesh.Trimesh(
+        mesh.vertices, mesh.triangles, vertex_colors=mesh.colors, vertex_normals=mesh.normals, process=False
+    )
+    write_bytes(path, exported.export(file_type="ply", vertex_normal=mesh.normals is not None))
 
 
 def read_mesh(path: Path) -> Mesh:
     """Read a triangle mesh of any format that trimesh knows; several objects in one file become one mesh.
+
+    Normals are left where they are: a file's may be of any length and side.
 
     Raises InputError where the file is missing, damaged, or holds no triangles.
     """

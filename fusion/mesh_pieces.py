@@ -1,0 +1,161 @@
+"""Meshes of single blocks, to be replaced as their blocks change, and the one mesh that they make together.
+
+A piece is complete by itself: it holds all vertices of its block's cells, also those that belong to a block beyond and
+that the pieces there hold too. Each vertex lies on one edge of the voxel lattice, by whose number the copies are found
+and welded; so vertices that only happen to meet in a point stay apart, as they do in the mesh of the whole volume.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+from numpy.typing import ArrayLike, NDArray
+
+from fusion.block_table import BLOCK_SIDE, BLOCK_VOXELS
+from fusion.cells import block_numbers, blocks_around
+from fusion.devices import launch_in_slabs
+from fusion.layers import NONE, Cells, lowest_bit, number_of
+from fusion.marching_cubes import Surface, extract_surface, mesh_of
+from fusion.mesh import Mesh
+from fusion.volume import Volume
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+
+_BLOCK_EDGES = wp.constant(wp.int64(3 * BLOCK_VOXELS))
+_LAYER_EDGES = wp.constant(3 * BLOCK_SIDE**2)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeshPiece:
+    """A part of a volume's mesh; ``edges`` (n,) int64, ascending, are the numbers of its vertices' lattice edges.
+
+    The edge along ``axis`` from voxel (x, y, z) of block b has number 1536·b + 192·z + 64·axis + 8·y + x.
+    """
+
+    mesh: Mesh
+    edges: NDArray[np.int64]
+
+
+@wp.kernel
+def _list_edges(first: int, cells: Cells, edges: wp.array(dtype=wp.int64)) -> None:
+    layer = wp.tid() + first
+    vertex = cells.starts[layer][0]
+    if vertex == cells.starts[layer + 1][0]:
+        return
+    base = wp.int64(number_of(cells, layer >> 3)) * _BLOCK_EDGES + wp.int64((layer & 7) * _LAYER_EDGES)
+    for axis in range(3):
+        left = cells.edges[layer, axis]
+        while left != NONE:
+            edges[vertex] = base + wp.int64(64 * axis + lowest_bit(left))
+            vertex += 1
+            left = left & (left - wp.uint64(1))
+
+
+def mesh_piece(volume: Volume, blocks: ArrayLike, *, min_weight: float = 0.0, normals: bool = False) -> MeshPiece:
+    """Return the mesh of the cells of some blocks as one piece; the options are those of ``marching_cubes``."""
+    return _piece_of(volume, extract_surface(volume, min_weight=min_weight, normals=normals, blocks=blocks))
+
+
+def mesh_each(
+    volume: Volume, blocks: ArrayLike, *, min_weight: float = 0.0, normals: bool = False
+) -> dict[int, MeshPiece]:
+    """Return the pieces of some blocks by block number, ascending; those without a surface are left out."""
+    surface = extract_surface(volume, min_weight=min_weight, normals=normals, blocks=blocks)
+    together = _piece_of(volume, surface)
+    numbers = surface.cells.numbers.numpy()
+    vertices, triangles = len(together.edges), together.mesh.triangles
+    triangle_firsts = surface.cells.starts.numpy()[::BLOCK_SIDE, 1]
+    slots = np.repeat(np.arange(len(numbers)), np.diff(triangle_firsts))
+    # A vertex once for each of the blocks whose triangles have it.
+    copies, copy_of = np.unique(slots[:, None] * vertices + triangles, return_inverse=True)
+    copy_firsts = np.searchsorted(copies, np.arange(len(numbers) + 1) * vertices)
+    corners = (copy_of.reshape(-1, 3) - copy_firsts[slots][:, None]).astype(np.int32)
+    pieces = {}
+    for slot in np.unique(slots).tolist():
+        taken = copies[copy_firsts[slot] : copy_firsts[slot + 1]] - slot * vertices
+        own = corners[triangle_firsts[slot] : triangle_firsts[slot + 1]].copy()  # a view would keep all of them alive
+        pieces[int(numbers[slot])] = MeshPiece(
+            mesh=_with_vertices(together.mesh, taken, triangles=own), edges=together.edges[taken]
+        )
+    return pieces
+
+
+def weld(pieces: Iterable[MeshPiece]) -> Mesh:
+    """Join pieces of one volume, made with the same options from different blocks, so that they share vertices.
+
+    Vertices ascend by lattice edge, triangles follow each other as the pieces do: the pieces of all blocks, in the
+    order of the blocks' numbers, give exactly the mesh of the whole volume.
+    """
+    parts = list(pieces)
+    if not parts:
+        return _EMPTY
+    edges = np.concatenate([part.edges for part in parts])
+    _, kept, vertex_of = np.unique(edges, return_index=True, return_inverse=True)
+    sizes = np.array([len(part.edges) for part in parts])
+    firsts = np.repeat(np.cumsum(sizes) - sizes, [len(part.mesh.triangles) for part in parts])
+    corners = np.concatenate([part.mesh.triangles for part in parts]) + firsts[:, None]
+    joined = Mesh(
+        vertices=np.concatenate([part.mesh.vertices for part in parts]),
+        triangles=np.zeros((0, 3), np.int32),
+        colors=_concatenated([part.mesh.colors for part in parts]),
+        normals=_concatenated([part.mesh.normals for part in parts]),
+    )
+    return _with_vertices(joined, kept, triangles=vertex_of.astype(np.int32)[corners])
+
+
+class MeshPieces:
+    """The pieces of a volume that changes, by block number; ``mesh`` is always that of the whole volume.
+
+    ``min_weight`` and ``normals`` are those of ``marching_cubes``.
+    """
+
+    def __init__(self, *, min_weight: float = 0.0, normals: bool = False) -> None:
+        self.min_weight = min_weight
+        self.normals = normals
+        self.pieces: dict[int, MeshPiece] = {}
+
+    def update(self, volume: Volume, changed: ArrayLike) -> NDArray[np.int32]:
+        """Mesh anew what depends on ``changed``, the numbers of all blocks that changed or are new since the last time.
+
+        Returns the numbers of the blocks whose pieces were replaced or dropped: the changed ones and those one before,
+        whose cells reach into them; with normals all around, since these take the field one voxel farther on each side.
+        """
+        steps = range(-1, 2) if self.normals else range(-1, 1)
+        stale = blocks_around(volume.table, block_numbers(volume, changed), steps=steps)
+        fresh = mesh_each(volume, stale, min_weight=self.min_weight, normals=self.normals)
+        for number in stale.tolist():
+            self.pieces.pop(number, None)
+        self.pieces.update(fresh)
+        return stale
+
+    def mesh(self) -> Mesh:
+        """Return the welded mesh, equal to that of ``marching_cubes`` for the whole volume."""
+        return weld(self.pieces[number] for number in sorted(self.pieces))
+
+
+_EMPTY = Mesh(
+    vertices=np.zeros((0, 3), np.float32), triangles=np.zeros((0, 3), np.int32), colors=np.zeros((0, 3), np.uint8)
+)
+
+
+def _piece_of(volume: Volume, surface: Surface) -> MeshPiece:
+    edges = wp.empty(len(surface.vertices), dtype=wp.int64, device=volume.device)
+    layers = len(surface.cells.starts) - 1
+    launch_in_slabs(_list_edges, dim=layers, inputs=[surface.cells], outputs=[edges], device=volume.device)
+    return MeshPiece(mesh=mesh_of(surface), edges=edges.numpy())
+
+
+def _with_vertices(mesh: Mesh, taken: NDArray[np.int64], *, triangles: NDArray[np.int32]) -> Mesh:
+    """Return some of a mesh's vertices with new triangles between them."""
+    return Mesh(
+        vertices=mesh.vertices[taken],
+        triangles=triangles,
+        colors=None if mesh.colors is None else mesh.colors[taken],
+        normals=None if mesh.normals is None else mesh.normals[taken],
+    )
+
+
+def _concatenated(arrays: list[NDArray | None]) -> NDArray | None:
+    present = [array for array in arrays if array is not None]
+    return np.concatenate(present) if present else None
