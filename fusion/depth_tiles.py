@@ -14,53 +14,56 @@ from fusion.frame_batch import FrameBatch
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 TILE = 8
-_TILE = wp.constant(TILE)
 NONE_NEAR = wp.constant(3.0e38)
 """Where an empty range begins."""
 
 # All lanes first look for the extremes; only where those are far apart a second look splits the tile. Depths that are
 # not finite compare false, or exceed the bound, and so are passed over.
-_RANGES_IN_CPP = """
+_SURVEY_IN_CPP = """
     constexpr float FAR = 3.0e38f;
-    const int height = depth.shape[1], width = depth.shape[2];
-    const int rows = height - v0 < 8 ? height - v0 : 8, columns = width - u0 < 8 ? width - u0 : 8;
+    const int height = depth.shape[1], width = depth.shape[2], columns = ranges.shape[2];
+    const int v0 = 8 * tile_v, u0 = 8 * tile_u;
+    const int rows = height - v0 < 8 ? height - v0 : 8, lanes = width - u0 < 8 ? width - u0 : 8;
     const auto *corner = depth.data + ((size_t)frame * height + v0) * width + u0;
+    const size_t tile = ((size_t)frame * ranges.shape[1] + tile_v) * columns + tile_u;
     float low[8], high[8];
-    for (int i = 0; i < 8; ++i) { low[i] = FAR; high[i] = 0.0f; }
-    if (columns == 8) {
-        for (int v = 0; v < rows; ++v) {
-            for (int i = 0; i < 8; ++i) {
-                const float z = (float)corner[(size_t)v * width + i];
-                low[i] = ((z > 0.0f) & (z < low[i])) ? z : low[i];
-                high[i] = ((z > high[i]) & (z < FAR)) ? z : high[i];
-            }
-        }
+    int valid[8];
+    for (int i = 0; i < 8; ++i) { low[i] = FAR; high[i] = 0.0f; valid[i] = 0; }
+    auto look = [&](int v, int i) {
+        const float z = (float)corner[(size_t)v * width + i];
+        const bool good = (z > 0.0f) & (z < FAR);
+        low[i] = (good & (z < low[i])) ? z : low[i];
+        high[i] = (good & (z > high[i])) ? z : high[i];
+        valid[i] += good;
+    };
+    if (lanes == 8) {
+        for (int v = 0; v < rows; ++v) for (int i = 0; i < 8; ++i) look(v, i);
     } else {
-        for (int v = 0; v < rows; ++v) {
-            for (int i = 0; i < columns; ++i) {
-                const float z = (float)corner[(size_t)v * width + i];
-                low[i] = ((z > 0.0f) & (z < low[i])) ? z : low[i];
-                high[i] = ((z > high[i]) & (z < FAR)) ? z : high[i];
-            }
-        }
+        for (int v = 0; v < rows; ++v) for (int i = 0; i < lanes; ++i) look(v, i);
     }
     float nearest = FAR, farthest = 0.0f;
+    int count = 0;
     for (int i = 0; i < 8; ++i) {
         nearest = low[i] < nearest ? low[i] : nearest;
         farthest = high[i] > farthest ? high[i] : farthest;
+        count += valid[i];
     }
-    if (farthest == 0.0f) return wp::vec4(FAR, 0.0f, FAR, 0.0f);
-    if ((farthest - nearest) * scale <= split_beyond) return wp::vec4(nearest * scale, farthest * scale, FAR, 0.0f);
-    const float middle = 0.5f * (nearest + farthest);
-    float near_end = 0.0f, far_begin = FAR;
-    for (int v = 0; v < rows; ++v) {
-        for (int i = 0; i < columns; ++i) {
-            const float z = (float)corner[(size_t)v * width + i];
-            if (z > middle) far_begin = z < far_begin ? z : far_begin;
-            else if (z > 0.0f) near_end = z > near_end ? z : near_end;
+    whole.data[tile] = count == rows * lanes;
+    float near_end = farthest, far_begin = FAR, far_end = 0.0f;
+    if ((farthest - nearest) * scale > split_beyond) {
+        const float middle = 0.5f * (nearest + farthest);
+        near_end = 0.0f;
+        far_end = farthest;
+        for (int v = 0; v < rows; ++v) {
+            for (int i = 0; i < lanes; ++i) {
+                const float z = (float)corner[(size_t)v * width + i];
+                if ((z > middle) & (z < FAR)) far_begin = z < far_begin ? z : far_begin;
+                else if ((z > 0.0f) & (z < FAR)) near_end = z > near_end ? z : near_end;
+            }
         }
     }
-    return wp::vec4(nearest * scale, near_end * scale, far_begin * scale, farthest * scale);
+    ranges.data[tile] = wp::vec4(nearest < FAR ? nearest * scale : FAR, near_end * scale,
+                                 far_begin < FAR ? far_begin * scale : FAR, far_end * scale);
 """
 
 
@@ -69,18 +72,30 @@ class DepthTiles:
     """Depth ranges of a batch's tiles, metres.
 
     ``ranges`` (frames, rows, columns) vec4: the nearest and farthest of the near pixels, then of the far pixels; an
-    empty range begins at NONE_NEAR and ends at 0.
+    empty range begins at NONE_NEAR and ends at 0. ``whole`` (frames, rows, columns) uint8, 1 where every pixel is
+    valid.
     """
 
     ranges: wp.array
+    whole: wp.array
 
 
 @cache
-def _kernel(depth_type: type) -> Kernel:
-    @wp.func_native(_RANGES_IN_CPP)
-    def tile_ranges(
-        depth: wp.array3d(dtype=depth_type), frame: int, v0: int, u0: int, scale: float, split_beyond: float
-    ) -> wp.vec4: ...
+def kernel(depth_type: type) -> Kernel:
+    """Return the kernel for depth of a type, uint16 or float32; its threads take a tile each."""
+
+    @wp.func_native(_SURVEY_IN_CPP)
+    def survey_tile(
+        frame: int,
+        tile_v: int,
+        tile_u: int,
+        depth: wp.array3d(dtype=depth_type),
+        scale: float,
+        split_beyond: float,
+        ranges: wp.array3d(dtype=wp.vec4),
+        whole: wp.array3d(dtype=wp.uint8),
+    ) -> None:
+        """Write a tile's ranges, and whether all of its pixels are valid."""
 
     @wp.kernel(module="unique", enable_backward=False)
     def survey_tiles(
@@ -89,14 +104,13 @@ def _kernel(depth_type: type) -> Kernel:
         scale: float,
         split_beyond: float,
         ranges: wp.array3d(dtype=wp.vec4),
+        whole: wp.array3d(dtype=wp.uint8),
     ) -> None:
         index = wp.tid() + first
         columns = ranges.shape[2]
         rows = ranges.shape[1]
-        u = index % columns
-        v = (index / columns) % rows
-        frame = index / (columns * rows)
-        ranges[frame, v, u] = tile_ranges(depth, frame, v * _TILE, u * _TILE, scale, split_beyond)
+        tile_v = (index / columns) % rows
+        survey_tile(index / (columns * rows), tile_v, index % columns, depth, scale, split_beyond, ranges, whole)
 
     return survey_tiles
 
@@ -105,12 +119,14 @@ def depth_tiles(batch: FrameBatch, *, split_beyond: float) -> DepthTiles:
     """Survey a batch's depth images; tiles whose depths span more than ``split_beyond`` metres have two ranges."""
     camera, device = batch.camera, batch.depth.device
     shape = (len(batch), -(-camera.height // TILE), -(-camera.width // TILE))
-    ranges = wp.empty(shape, dtype=wp.vec4, device=device)
+    tiles = DepthTiles(
+        ranges=wp.empty(shape, dtype=wp.vec4, device=device), whole=wp.empty(shape, dtype=wp.uint8, device=device)
+    )
     launch_in_slabs(
-        _kernel(batch.depth.dtype),
-        dim=ranges.size,
+        kernel(batch.depth.dtype),
+        dim=tiles.ranges.size,
         inputs=[batch.depth, batch.depth_scale, split_beyond],
-        outputs=[ranges],
+        outputs=[tiles.ranges, tiles.whole],
         device=device,
     )
-    return DepthTiles(ranges=ranges)
+    return tiles

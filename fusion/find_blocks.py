@@ -181,10 +181,10 @@ def enter_range(
     table: BlockArrays,
 ) -> Request:
     """Enter the blocks of a square of ``size`` tiles whose depths span [near, far]."""
-    # A pixel's footprint reaches half a pixel beyond its centre; a little more covers rounding in the projection.
-    left = float(u) * _TILE - 0.51
-    top = float(v) * _TILE - 0.51
-    width = float(size) * _TILE + 0.02
+    # Bilinear sampling reaches up to a pixel beyond the outermost centres; a little more covers rounding.
+    left = float(u) * _TILE - 1.01
+    top = float(v) * _TILE - 1.01
+    width = float(size) * _TILE + 1.02
     edges = wp.vec4(
         (left - intrinsics[2]) / intrinsics[0],
         (left + width - intrinsics[2]) / intrinsics[0],

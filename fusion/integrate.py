@@ -61,9 +61,11 @@ _ROW_IN_CPP = """
             d[i] = z_pixel[i] - z_voxel[i];
             seen[i] &= (z_pixel[i] > 0.0f) & (d[i] >= (BILINEAR ? -2.0f : -1.0f) * rules.truncation);
             any_seen |= seen[i];
+            any_near |= seen[i] & (d[i] <= 2.0f * rules.truncation);
         }
         if (!any_seen) continue;
-        if (BILINEAR) {
+        // Farther in front, sampling makes no difference to t_d = 1.
+        if (BILINEAR && any_near) {
             for (int i = 0; i < LANES; ++i) {
                 const float au = seen[i] ? u[i] + 0.5f : 1.0f, av = seen[i] ? v[i] + 0.5f : 1.0f;
                 const int u1 = (int)au, v1 = (int)av;  // the pixel after the one before
@@ -83,6 +85,7 @@ _ROW_IN_CPP = """
             }
         }
         float w_new[LANES];
+        any_near = 0;
         for (int i = 0; i < LANES; ++i) {
             const float ratio = d[i] / rules.truncation;
             const float t_d = ratio < 1.0f ? ratio : 1.0f;
