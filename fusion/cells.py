@@ -95,11 +95,29 @@ def _find_neighbours(
 
 
 @wp.kernel
-def _find_states(first: int, lanes: int, voxels: Voxels, min_weight: float, cells: Cells) -> None:
+def _group_neighbours(first: int, cells: Cells) -> None:
+    index = wp.tid() + first
+    slot = index >> 3
+    corner = index & 7
+    own = slot & 7
+    cells.upper[slot, corner] = wp.where((own & corner) == 0, slot + corner, -1)
+    cells.lower[slot, corner] = wp.where((own & corner) == corner, slot - corner, -1)
+
+
+@wp.kernel
+def _find_states(first: int, lanes: int, apart: bool, voxels: Voxels, min_weight: float, cells: Cells) -> None:
     index = wp.tid() + first
     layer = index / lanes
-    first_voxel = number_of(cells, layer >> 3) * _VOXELS + (layer & 7) * 64
-    find_states(voxels, first_voxel, index - layer * lanes, min_weight, layer, cells)
+    slot = layer >> 3
+    z = layer & 7
+    number = number_of(cells, slot)
+    if apart and (slot & 4) != 0 and z > 0:
+        number = -1  # of the blocks above, a group needs the lowest layer
+    if number < 0:
+        cells.seen[layer] = NONE
+        cells.inside[layer] = NONE
+    else:
+        find_states(voxels, number * _VOXELS + z * 64, index - layer * lanes, min_weight, layer, cells)
 
 
 @wp.kernel
@@ -185,51 +203,74 @@ def blocks_around(table: BlockTable, numbers: NDArray[np.int32], *, steps: range
 
     The steps are successive block coordinates; 0 is the block itself.
     """
+    found = np.unique(_around(table, numbers, steps).numpy())
+    return found[found >= 0]
+
+
+def _around(table: BlockTable, numbers: NDArray[np.int32], steps: range) -> wp.array:
+    """Return for each block the numbers of those around it (n, steps³) on the device, x fastest; −1 for none."""
     listed = wp.array(numbers, dtype=int, device=table.device)
     around = wp.empty((len(numbers), len(steps) ** 3), dtype=int, device=table.device)
     inputs = [listed, table.blocks, table.keys, table.numbers, steps[0], len(steps)]
     wp.launch(_list_around, dim=around.shape, inputs=inputs, outputs=[around], device=table.device)
-    found = np.unique(around.numpy())
-    return found[found >= 0]
+    return around
 
 
-def _slots(volume: Volume, meshed: NDArray[np.int32] | None) -> tuple[int, Cells]:
-    """Return how many slots there are and empty cells for them; None meshes all blocks."""
-    device = volume.device
+def _cells(numbers: wp.array, wanted: NDArray[np.uint8], *, slots: int) -> Cells:
+    """Return room for what is found in ``slots`` blocks."""
+    device, layers = numbers.device, BLOCK_SIDE * slots
     cells = Cells()
-    numbers = np.zeros(0, np.int32) if meshed is None else blocks_around(volume.table, meshed, steps=range(2))
-    slots = volume.table.count if meshed is None else len(numbers)
-    wanted = np.zeros(0, np.uint8) if meshed is None else np.isin(numbers, meshed).astype(np.uint8)
-    cells.numbers = wp.array(numbers, dtype=int, device=device)
+    cells.numbers = numbers
     cells.wanted = wp.array(wanted, dtype=wp.uint8, device=device)
     cells.upper = wp.empty((slots, 8), dtype=int, device=device)
     cells.lower = wp.full((slots, 8), -1, dtype=int, device=device)
-    layers = BLOCK_SIDE * slots
     cells.inside = wp.empty(layers, dtype=wp.uint64, device=device)
     cells.seen = wp.empty(layers, dtype=wp.uint64, device=device)
     cells.active = wp.empty(layers, dtype=wp.uint64, device=device)
     cells.edges = wp.empty((layers, 3), dtype=wp.uint64, device=device)
     cells.starts = wp.zeros(layers + 1, dtype=wp.vec2i, device=device)
-    return slots, cells
+    return cells
+
+
+def _slots(volume: Volume, meshed: NDArray[np.int32] | None, *, apart: bool) -> Cells:
+    """Return cells with a slot for each block that is meshed or holds some of the corners."""
+    table = volume.table
+    if meshed is None:
+        return _cells(wp.empty(0, dtype=int, device=volume.device), np.zeros(0, np.uint8), slots=table.count)
+    if apart:
+        numbers = _around(table, meshed, range(2)).flatten()
+        return _cells(numbers, (np.arange(8 * len(meshed)) % 8 == 0).astype(np.uint8), slots=8 * len(meshed))
+    listed = blocks_around(table, meshed, steps=range(2))
+    wanted = np.isin(listed, meshed).astype(np.uint8)
+    return _cells(wp.array(listed, dtype=int, device=volume.device), wanted, slots=len(listed))
 
 
 def find_cells(
-    volume: Volume, triangle_counts: wp.array, *, meshed: NDArray[np.int32] | None, min_weight: float
+    volume: Volume,
+    triangle_counts: wp.array,
+    *,
+    meshed: NDArray[np.int32] | None,
+    apart: bool = False,
+    min_weight: float,
 ) -> Cells:
     """Find the cells of the ``meshed`` blocks (all where None) that the surface passes through, and their edges.
 
     ``triangle_counts`` (256,) are those of the sign patterns. A voxel was seen where its weight is over ``min_weight``.
+    Blocks meshed ``apart`` share no vertices: each has a group of eight slots to itself, for the blocks at its corners.
     """
     device, table = volume.device, volume.table
-    slots, cells = _slots(volume, meshed)
-    layers = BLOCK_SIDE * slots
+    cells = _slots(volume, meshed, apart=apart)
+    layers = len(cells.inside)
     lanes = _CUDA_LANES if device.is_cuda else 1
 
     def launch(kernel: wp.Kernel, dim: int, inputs: list[Any]) -> None:
         launch_in_slabs(kernel, dim=dim, inputs=inputs, outputs=[cells], device=device)
 
-    launch(_find_neighbours, 8 * slots, [table.blocks, table.keys, table.numbers])
-    launch(_find_states, lanes * layers, [lanes, volume.voxels, min_weight])
+    if apart:
+        launch(_group_neighbours, layers, [])
+    else:
+        launch(_find_neighbours, layers, [table.blocks, table.keys, table.numbers])
+    launch(_find_states, lanes * layers, [lanes, apart, volume.voxels, min_weight])
     launch(_find_active_cells, layers, [])
     launch(_find_edges, layers, [triangle_counts])
     array_scan(cells.starts, cells.starts, inclusive=False)

@@ -27,10 +27,11 @@ _LAST_ROW = wp.constant(wp.uint64(56))
 class Cells:
     """Where the surface passes in m blocks, which have slots 0 … m−1.
 
-    ``numbers`` (m,) the blocks' numbers, ascending, and ``wanted`` (m,) 1 for blocks whose cells are meshed, 0 for
+    ``numbers`` (m,) the blocks' numbers, −1 for none, and ``wanted`` (m,) 1 for blocks whose cells are meshed, 0 for
     those that only hold some of the corners; both empty where all blocks are meshed, each in the slot of its number.
     ``upper`` and ``lower`` (m, 8) the slots of the blocks around: bit i of the column is set where it is one block on
-    along axis i, or one back; −1 where there is none.
+    along axis i, or one back; −1 where there is none. The numbers ascend, unless each meshed block has a group of eight
+    slots to itself.
 
     By layers, 8·slot + z: ``inside``, ``seen``, ``active`` (8 m,) the voxels that are inside the surface, those that
     were seen, and those whose cell the surface passes through; ``edges`` (8 m, 3) the voxels whose edge along an axis
@@ -58,7 +59,7 @@ def number_of(cells: Cells, slot: int) -> int:
 
 @wp.func
 def slot_of(cells: Cells, number: int) -> int:
-    """Return the slot of a block, −1 where it has none."""
+    """Return the slot of a block, −1 where it has none; the numbers ascend."""
     if cells.numbers.shape[0] == 0:
         return number
     low = int(0)

@@ -200,14 +200,19 @@ def mesh_of(surface: Surface) -> Mesh:
 
 
 def extract_surface(
-    volume: Volume, *, min_weight: float = 0.0, normals: bool = False, blocks: ArrayLike | None = None
+    volume: Volume,
+    *,
+    min_weight: float = 0.0,
+    normals: bool = False,
+    blocks: ArrayLike | None = None,
+    apart: bool = False,
 ) -> Surface:
-    """Do what ``marching_cubes`` does and leave the mesh on the device."""
+    """Do what ``marching_cubes`` does and leave the mesh on the device; blocks meshed ``apart`` share no vertices."""
     assert min_weight >= 0, "an unseen voxel's weight is 0"
     device = volume.device
     tables = _case_tables(str(device.alias))
     meshed = None if blocks is None else block_numbers(volume, blocks)
-    cells = find_cells(volume, tables.counts, meshed=meshed, min_weight=min_weight)
+    cells = find_cells(volume, tables.counts, meshed=meshed, apart=apart, min_weight=min_weight)
     layers = len(cells.starts) - 1
     vertex_total, triangle_total = (int(total) for total in cells.starts[layers:].numpy()[0])
     vertices = wp.empty(vertex_total, dtype=wp.vec3, device=device)

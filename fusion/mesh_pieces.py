@@ -28,7 +28,7 @@ _LAYER_EDGES = wp.constant(3 * BLOCK_SIDE**2)
 
 @dataclass(frozen=True, kw_only=True)
 class MeshPiece:
-    """A part of a volume's mesh; ``edges`` (n,) int64, ascending, are the numbers of its vertices' lattice edges.
+    """A part of a volume's mesh; ``edges`` (n,) int64 are the numbers of its vertices' lattice edges.
 
     The edge along ``axis`` from voxel (x, y, z) of block b has number 1536·b + 192·z + 64·axis + 8·y + x.
     """
@@ -61,23 +61,14 @@ def mesh_each(
     volume: Volume, blocks: ArrayLike, *, min_weight: float = 0.0, normals: bool = False
 ) -> dict[int, MeshPiece]:
     """Return the pieces of some blocks by block number, ascending; those without a surface are left out."""
-    surface = extract_surface(volume, min_weight=min_weight, normals=normals, blocks=blocks)
+    numbers = block_numbers(volume, blocks)
+    surface = extract_surface(volume, min_weight=min_weight, normals=normals, blocks=numbers, apart=True)
     together = _piece_of(volume, surface)
-    numbers = surface.cells.numbers.numpy()
-    vertices, triangles = len(together.edges), together.mesh.triangles
-    triangle_firsts = surface.cells.starts.numpy()[::BLOCK_SIDE, 1]
-    slots = np.repeat(np.arange(len(numbers)), np.diff(triangle_firsts))
-    # A vertex once for each of the blocks whose triangles have it.
-    copies, copy_of = np.unique(slots[:, None] * vertices + triangles, return_inverse=True)
-    copy_firsts = np.searchsorted(copies, np.arange(len(numbers) + 1) * vertices)
-    corners = (copy_of.reshape(-1, 3) - copy_firsts[slots][:, None]).astype(np.int32)
+    firsts = surface.cells.starts.numpy()[:: 8 * BLOCK_SIDE]  # a block has a group of eight slots
     pieces = {}
-    for slot in np.unique(slots).tolist():
-        taken = copies[copy_firsts[slot] : copy_firsts[slot + 1]] - slot * vertices
-        own = corners[triangle_firsts[slot] : triangle_firsts[slot + 1]].copy()  # a view would keep all of them alive
-        pieces[int(numbers[slot])] = MeshPiece(
-            mesh=_with_vertices(together.mesh, taken, triangles=own), edges=together.edges[taken]
-        )
+    for i in np.flatnonzero(np.diff(firsts[:, 1])).tolist():
+        (vertex, triangle), (vertex_end, triangle_end) = firsts[i].tolist(), firsts[i + 1].tolist()
+        pieces[int(numbers[i])] = _cut(together, slice(vertex, vertex_end), slice(triangle, triangle_end))
     return pieces
 
 
@@ -95,13 +86,14 @@ def weld(pieces: Iterable[MeshPiece]) -> Mesh:
     sizes = np.array([len(part.edges) for part in parts])
     firsts = np.repeat(np.cumsum(sizes) - sizes, [len(part.mesh.triangles) for part in parts])
     corners = np.concatenate([part.mesh.triangles for part in parts]) + firsts[:, None]
-    joined = Mesh(
-        vertices=np.concatenate([part.mesh.vertices for part in parts]),
-        triangles=np.zeros((0, 3), np.int32),
-        colors=_concatenated([part.mesh.colors for part in parts]),
-        normals=_concatenated([part.mesh.normals for part in parts]),
+    colors = [part.mesh.colors for part in parts if part.mesh.colors is not None]
+    normals = [part.mesh.normals for part in parts if part.mesh.normals is not None]
+    return Mesh(
+        vertices=np.concatenate([part.mesh.vertices for part in parts])[kept],
+        triangles=vertex_of.astype(np.int32)[corners],
+        colors=np.concatenate(colors)[kept] if colors else None,
+        normals=np.concatenate(normals)[kept] if normals else None,
     )
-    return _with_vertices(joined, kept, triangles=vertex_of.astype(np.int32)[corners])
 
 
 class MeshPieces:
@@ -146,16 +138,15 @@ def _piece_of(volume: Volume, surface: Surface) -> MeshPiece:
     return MeshPiece(mesh=mesh_of(surface), edges=edges.numpy())
 
 
-def _with_vertices(mesh: Mesh, taken: NDArray[np.int64], *, triangles: NDArray[np.int32]) -> Mesh:
-    """Return some of a mesh's vertices with new triangles between them."""
-    return Mesh(
-        vertices=mesh.vertices[taken],
-        triangles=triangles,
-        colors=None if mesh.colors is None else mesh.colors[taken],
-        normals=None if mesh.normals is None else mesh.normals[taken],
+def _cut(piece: MeshPiece, vertices: slice, triangles: slice) -> MeshPiece:
+    """Return a copy of some vertices and the triangles between them: a view would keep the whole piece alive."""
+    mesh = piece.mesh
+    return MeshPiece(
+        mesh=Mesh(
+            vertices=mesh.vertices[vertices].copy(),
+            triangles=mesh.triangles[triangles] - np.int32(vertices.start),
+            colors=None if mesh.colors is None else mesh.colors[vertices].copy(),
+            normals=None if mesh.normals is None else mesh.normals[vertices].copy(),
+        ),
+        edges=piece.edges[vertices].copy(),
     )
-
-
-def _concatenated(arrays: list[NDArray | None]) -> NDArray | None:
-    present = [array for array in arrays if array is not None]
-    return np.concatenate(present) if present else None
