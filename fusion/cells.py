@@ -16,8 +16,18 @@ from warp.utils import array_scan
 
 from datagen.errors import InputError
 from fusion.block_table import BLOCK_SIDE, BLOCK_VOXELS, BlockTable, find_block
-from fusion.devices import launch_in_slabs
-from fusion.layers import NONE, Cells, case_of, corners_back, corners_on, is_wanted, lowest_bit, number_of, slot_of
+from fusion.layers import (
+    NONE,
+    Cells,
+    case_of,
+    corners_back,
+    corners_on,
+    is_wanted,
+    launch_over_layers,
+    lowest_bit,
+    number_of,
+    slot_of,
+)
 from fusion.volume import Volume
 from fusion.voxels import Voxels
 
@@ -264,7 +274,7 @@ def find_cells(
     lanes = _CUDA_LANES if device.is_cuda else 1
 
     def launch(kernel: wp.Kernel, dim: int, inputs: list[Any]) -> None:
-        launch_in_slabs(kernel, dim=dim, inputs=inputs, outputs=[cells], device=device)
+        launch_over_layers(kernel, dim=dim, inputs=inputs, outputs=[cells], device=device)
 
     if apart:
         launch(_group_neighbours, layers, [])

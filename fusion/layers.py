@@ -4,14 +4,18 @@ A layer is the 8×8 voxels of a block at one z; voxel (x, y) is at bit 8·y + x.
 found together by a few operations on words, and a vertex's number by counting bits.
 """
 
+from typing import Any
+
 import warp as wp
 
 from fusion.block_table import BLOCK_VOXELS
+from fusion.devices import Device, launch_in_slabs
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 _VOXELS = wp.constant(BLOCK_VOXELS)
 _ALL = wp.constant(wp.uint64(0xFFFFFFFFFFFFFFFF))
+_FEW_LAYERS = 4096
 NONE = wp.constant(wp.uint64(0))
 """The word of no voxels."""
 _ONE = wp.constant(wp.uint64(1))
@@ -186,3 +190,14 @@ def voxel_of(cells: Cells, slot: int, x: int, y: int, z: int) -> int:
     """Return the index of the voxel at (x, y, z), each from 0 to 8, seen from a slot."""
     holder = cells.upper[slot, (x >> 3) | ((y >> 3) << 1) | ((z >> 3) << 2)]
     return number_of(cells, holder) * _VOXELS + (z & 7) * 64 + (y & 7) * 8 + (x & 7)
+
+
+def launch_over_layers(kernel: Any, *, dim: int, inputs: list[Any], outputs: list[Any], device: Device) -> None:
+    """Launch a kernel with few operations a layer as ``launch_in_slabs`` does; few layers in one slab.
+
+    Handing slabs to the cores takes as long as some thousand layers do, and live a frame changes fewer.
+    """
+    if 0 < dim <= _FEW_LAYERS and device.is_cpu:
+        wp.launch(kernel, dim=dim, inputs=[0, *inputs], outputs=outputs, device=device)
+    else:
+        launch_in_slabs(kernel, dim=dim, inputs=inputs, outputs=outputs, device=device)

@@ -13,8 +13,18 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from fusion.cells import block_numbers, find_cells
-from fusion.devices import launch_in_slabs
-from fusion.layers import NONE, Cells, below, corners_on, lowest_bit, number_of, share_of, step_along, voxel_of
+from fusion.layers import (
+    NONE,
+    Cells,
+    below,
+    corners_on,
+    launch_over_layers,
+    lowest_bit,
+    number_of,
+    share_of,
+    step_along,
+    voxel_of,
+)
 from fusion.marching_cubes_table import EDGE_CORNERS, triangle_table
 from fusion.mesh import Mesh
 from fusion.vertex_normals import vertex_normals
@@ -219,14 +229,14 @@ def extract_surface(
     colors = wp.empty(vertex_total, dtype=wp.vec3ub, device=device)
     triangles = wp.empty((triangle_total, 3), dtype=int, device=device)
     shares = _CUDA_SHARES if device.is_cuda else 1
-    launch_in_slabs(
+    launch_over_layers(
         _emit_vertices,
         dim=shares * layers,
         inputs=[shares, volume.table.blocks, cells, volume.voxels, volume.voxel_size],
         outputs=[vertices, colors],
         device=device,
     )
-    launch_in_slabs(
+    launch_over_layers(
         _emit_triangles,
         dim=shares * layers,
         inputs=[shares, cells, tables.counts, tables.edges],

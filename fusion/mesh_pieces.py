@@ -14,8 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fusion.block_table import BLOCK_SIDE, BLOCK_VOXELS
 from fusion.cells import block_numbers, blocks_around
-from fusion.devices import launch_in_slabs
-from fusion.layers import NONE, Cells, lowest_bit, number_of
+from fusion.layers import NONE, Cells, launch_over_layers, lowest_bit, number_of
 from fusion.marching_cubes import Surface, extract_surface, mesh_of
 from fusion.mesh import Mesh
 from fusion.volume import Volume
@@ -134,7 +133,7 @@ _EMPTY = Mesh(
 def _piece_of(volume: Volume, surface: Surface) -> MeshPiece:
     edges = wp.empty(len(surface.vertices), dtype=wp.int64, device=volume.device)
     layers = len(surface.cells.starts) - 1
-    launch_in_slabs(_list_edges, dim=layers, inputs=[surface.cells], outputs=[edges], device=volume.device)
+    launch_over_layers(_list_edges, dim=layers, inputs=[surface.cells], outputs=[edges], device=volume.device)
     return MeshPiece(mesh=mesh_of(surface), edges=edges.numpy())
 
 
