@@ -8,7 +8,7 @@ from typing import Any
 
 import warp as wp
 
-from fusion.block_table import BLOCK_VOXELS
+from fusion.block_table import BLOCK_SIDE, BLOCK_VOXELS
 from fusion.devices import Device, launch_in_slabs
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
@@ -190,6 +190,20 @@ def voxel_of(cells: Cells, slot: int, x: int, y: int, z: int) -> int:
     """Return the index of the voxel at (x, y, z), each from 0 to 8, seen from a slot."""
     holder = cells.upper[slot, (x >> 3) | ((y >> 3) << 1) | ((z >> 3) << 2)]
     return number_of(cells, holder) * _VOXELS + (z & 7) * 64 + (y & 7) * 8 + (x & 7)
+
+
+@wp.func
+def vertex_number(cells: Cells, layer: int, axis: int, bit: int) -> int:
+    """Return the number of the vertex on the edge along ``axis`` from a layer's voxel."""
+    number = cells.starts[layer][0] + wp.bit_count(cells.edges[layer, axis] & below(bit))
+    for before in range(axis):
+        number += wp.bit_count(cells.edges[layer, before])
+    return number
+
+
+def shares_on(device: Device) -> int:
+    """Return into how many equal shares a layer's voxels are divided among threads: rows on CUDA, none on the CPU."""
+    return BLOCK_SIDE if device.is_cuda else 1
 
 
 def launch_over_layers(kernel: Any, *, dim: int, inputs: list[Any], outputs: list[Any], device: Device) -> None:

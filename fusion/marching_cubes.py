@@ -16,13 +16,14 @@ from fusion.cells import block_numbers, find_cells
 from fusion.layers import (
     NONE,
     Cells,
-    below,
     corners_on,
     launch_over_layers,
     lowest_bit,
     number_of,
     share_of,
+    shares_on,
     step_along,
+    vertex_number,
     voxel_of,
 )
 from fusion.marching_cubes_table import EDGE_CORNERS, triangle_table
@@ -33,8 +34,6 @@ from fusion.voxel_average import average_of, color_along
 from fusion.voxels import Voxels
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
-
-_CUDA_SHARES = 8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,15 +61,6 @@ class CaseTables:
 
     counts: wp.array
     edges: wp.array
-
-
-@wp.func
-def vertex_number(cells: Cells, layer: int, axis: int, bit: int) -> int:
-    """Return the number of the vertex on the edge along ``axis`` from a layer's voxel."""
-    number = cells.starts[layer][0] + wp.bit_count(cells.edges[layer, axis] & below(bit))
-    for before in range(axis):
-        number += wp.bit_count(cells.edges[layer, before])
-    return number
 
 
 # In C++ for its local arrays: the edges of the eight layers around the cells are looked up once for all of them.
@@ -179,6 +169,8 @@ def _emit_triangles(
     if triangle == cells.starts[layer + 1][1]:
         return
     share = share_of(index - layer * shares, shares)
+    if (cells.active[layer] & share) == NONE:
+        return
     slot = layer >> 3
     z = layer & 7
     low = corners_on(cells.inside, cells.upper, slot, z)
@@ -228,7 +220,7 @@ def extract_surface(
     vertices = wp.empty(vertex_total, dtype=wp.vec3, device=device)
     colors = wp.empty(vertex_total, dtype=wp.vec3ub, device=device)
     triangles = wp.empty((triangle_total, 3), dtype=int, device=device)
-    shares = _CUDA_SHARES if device.is_cuda else 1
+    shares = shares_on(device)
     launch_over_layers(
         _emit_vertices,
         dim=shares * layers,

@@ -9,7 +9,7 @@ import warp as wp
 
 from fusion.block_table import BLOCK_VOXELS, find_block
 from fusion.devices import launch_in_slabs
-from fusion.layers import NONE, Cells, lowest_bit, number_of, step_along
+from fusion.layers import NONE, Cells, lowest_bit, number_of, share_of, shares_on, step_along, vertex_number
 from fusion.volume import Volume
 from fusion.voxels import Voxels, distance_of, weight_of
 
@@ -66,17 +66,23 @@ def gradient(field: Field, home: wp.vec3i, home_number: int, point: wp.vec3i, di
 
 @wp.kernel
 def _emit_normals(
-    first: int, blocks: wp.array(dtype=wp.vec3i), cells: Cells, field: Field, normals: wp.array(dtype=wp.vec3)
+    first: int,
+    shares: int,
+    blocks: wp.array(dtype=wp.vec3i),
+    cells: Cells,
+    field: Field,
+    normals: wp.array(dtype=wp.vec3),
 ) -> None:
-    layer = wp.tid() + first
-    vertex = cells.starts[layer][0]
-    if vertex == cells.starts[layer + 1][0]:
+    index = wp.tid() + first
+    layer = index / shares
+    if cells.starts[layer][0] == cells.starts[layer + 1][0]:
         return
     number = number_of(cells, layer >> 3)
     block = blocks[number]
     for axis in range(3):
         step = step_along(axis)
-        left = cells.edges[layer, axis]
+        left = cells.edges[layer, axis] & share_of(index - layer * shares, shares)
+        vertex = vertex_number(cells, layer, axis, lowest_bit(left))
         while left != NONE:
             bit = lowest_bit(left)
             start = 8 * block + wp.vec3i(bit & 7, bit >> 3, layer & 7)
@@ -100,10 +106,11 @@ def vertex_normals(volume: Volume, cells: Cells, *, vertices: int, min_weight: f
     field.keys, field.numbers, field.voxels = volume.table.keys, volume.table.numbers, volume.voxels
     field.min_weight = min_weight
     normals = wp.empty(vertices, dtype=wp.vec3, device=volume.device)
+    shares = shares_on(volume.device)
     launch_in_slabs(
         _emit_normals,
-        dim=len(cells.starts) - 1,
-        inputs=[volume.table.blocks, cells, field],
+        dim=shares * (len(cells.starts) - 1),
+        inputs=[shares, volume.table.blocks, cells, field],
         outputs=[normals],
         device=volume.device,
     )

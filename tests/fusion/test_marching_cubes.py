@@ -139,6 +139,17 @@ def test_the_mesh_is_the_same_each_time(device, storage):
         np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
 
 
+def test_the_mesh_does_not_depend_on_how_a_layer_is_divided_among_threads(device, storage, monkeypatch):
+    volume = volume_of(closed_random_field(6), device, storage=storage)
+    meshes = []
+    for shares in (1, 8):
+        for module in ("fusion.marching_cubes", "fusion.vertex_normals"):
+            monkeypatch.setattr(f"{module}.shares_on", lambda _, shares=shares: shares)
+        meshes.append(marching_cubes(volume, normals=True))
+    for name in ("vertices", "triangles", "colors", "normals"):
+        np.testing.assert_array_equal(getattr(meshes[0], name), getattr(meshes[1], name))
+
+
 def test_vertices_are_unique_and_all_used(device, storage):
     surface = extract_surface(volume_of(closed_random_field(2), device, storage=storage))
     triangles = surface.triangles.numpy()
