@@ -1,4 +1,4 @@
-"""The ``fusion`` command: reconstruct, locate, evaluate."""
+"""The ``fusion`` command: reconstruct, locate, evaluate, and what ``fusion.volume_cli`` adds."""
 
 import argparse
 import json
@@ -21,6 +21,7 @@ from fusion.mesh import read_mesh
 from fusion.reconstruct import reconstruct
 from fusion.reconstruction_config import ReconstructionConfig, check_length
 from fusion.reconstruction_files import RECORD_FILE, LocatedPose, ReconstructionRecord, poses_as_json, read_record
+from fusion.volume_cli import add_volume_commands
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -69,6 +70,8 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("--voxel-size", type=float, metavar="M", help="to give lengths in voxels too")
     _add_shared(command)
     command.set_defaults(run=_evaluate)
+
+    add_volume_commands(commands)
     return parser
 
 

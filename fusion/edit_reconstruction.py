@@ -1,0 +1,158 @@
+"""Reconstructions from others on disk: a part of one, or several as one."""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from datagen.atomic_write import require_writable
+from datagen.errors import InputError
+from datagen.progress import ProgressReporter, silent
+from fusion.devices import load_kernels, resolve_device
+from fusion.marching_cubes import marching_cubes
+from fusion.mesh import Mesh, write_ply
+from fusion.reconstruction_files import (
+    MESH_FILE,
+    POSES_FILE,
+    RECORD_FILE,
+    VOLUME_FILE,
+    ReconstructionRecord,
+    Seconds,
+    installed_versions,
+    peak_memory_mb,
+    read_record,
+    relative_to,
+    write_record,
+)
+from fusion.volume import Volume
+from fusion.volume_file import load_volume, save_volume
+from fusion.volume_operations import crop, merge
+
+KERNEL_MODULES = ("fusion.block_table", "fusion.volume_operations", "fusion.cells", "fusion.marching_cubes")
+
+
+def crop_reconstruction(
+    folder: Path,
+    out: Path,
+    *,
+    low: ArrayLike,
+    high: ArrayLike,
+    device: str = "auto",
+    progress: ProgressReporter = silent,
+) -> ReconstructionRecord:
+    """Write the part of a reconstruction in a box of the world (``fusion.volume_operations.crop``) as one of its own.
+
+    Its record has the frames and times of the whole. Raises InputError where the box is none or holds no surface.
+    """
+    record = read_record(folder)
+    _require_new(out, [folder])
+    target = resolve_device(device)
+    load_kernels(KERNEL_MODULES, device=target, progress=progress)
+    volume = crop(load_volume(folder / VOLUME_FILE, device=target), low, high)
+    mesh = _mesh(volume, f"--low {_listed(low)} --high {_listed(high)}: the volume has blocks in this box")
+    bounds = (np.maximum(record.bounds_m[0], low).tolist(), np.minimum(record.bounds_m[1], high).tolist())
+    changed = {
+        "dataset": relative_to(out, folder / record.dataset),
+        "bounds_m": bounds,
+        "metrics": None,
+        "config": record.config | {"crop": {"low": _listed(low), "high": _listed(high)}},
+    }
+    return _write(out, volume, mesh, record.model_copy(update=changed | _sizes(volume, mesh)))
+
+
+def merge_reconstructions(
+    folders: Sequence[Path], out: Path, *, device: str = "auto", progress: ProgressReporter = silent
+) -> ReconstructionRecord:
+    """Write reconstructions of different frames of one dataset as one (``fusion.volume_operations.merge``).
+
+    Times and frames in its record are those of all. Raises InputError for reconstructions of different datasets,
+    cameras or voxels, and for a frame that is in two of them, which would count twice.
+    """
+    records = [read_record(folder) for folder in folders]
+    _require_new(out, folders)
+    record = _joined(folders, records, out)
+    target = resolve_device(device)
+    load_kernels(KERNEL_MODULES, device=target, progress=progress)
+    volume = merge([load_volume(folder / VOLUME_FILE, device=target) for folder in folders])
+    mesh = _mesh(volume, f"{out}: the merged volume has blocks")
+    return _write(out, volume, mesh, record.model_copy(update=_sizes(volume, mesh)))
+
+
+def _joined(folders: Sequence[Path], records: Sequence[ReconstructionRecord], out: Path) -> ReconstructionRecord:
+    """Return the record of all frames together."""
+    if len(records) < 2:
+        raise InputError(f"{folders[0]}: nothing to merge it with; name two reconstructions or more")
+    first = records[0]
+    dataset = (folders[0] / first.dataset).resolve()
+    fused_in: dict[int, Path] = {}
+    for folder, record in zip(folders, records, strict=True):
+        if (folder / record.dataset).resolve() != dataset or record.camera != first.camera:
+            raise InputError(
+                f"{folder}: of the dataset {(folder / record.dataset).resolve()}, and {folders[0]} of {dataset}; "
+                "only reconstructions of one dataset are merged, since their poses must be in one world frame"
+            )
+        for frame in record.trajectory:
+            if frame.frame in fused_in:
+                raise InputError(
+                    f"{folder}: frame {frame.frame} is in {fused_in[frame.frame]} too and would count twice; "
+                    "reconstruct different frames with --frames, for example 0::2 and 1::2"
+                )
+            fused_in[frame.frame] = folder
+    lows, highs = zip(*(record.bounds_m for record in records), strict=True)
+    seconds = {name: sum(getattr(record.seconds, name) for record in records) for name in Seconds.model_fields}
+    frames = sum(record.frames for record in records)
+    depths = [math.inf if record.depth_max_m is None else record.depth_max_m for record in records]
+    changed = {
+        "dataset": relative_to(out, dataset),
+        "frames": frames,
+        "trajectory": sorted((f for record in records for f in record.trajectory), key=lambda fused: fused.frame),
+        "bounds_m": (np.min(lows, axis=0).tolist(), np.max(highs, axis=0).tolist()),
+        "seconds": Seconds(**seconds),
+        "frames_per_second": frames / seconds["integrate"],
+        "metrics": None,
+        "depth_max_m": max(depths) if math.isfinite(max(depths)) else None,
+        "config": {"merged": [record.config for record in records]},
+        "versions": installed_versions(),
+    }
+    return first.model_copy(update=changed)
+
+
+def _require_new(out: Path, folders: Sequence[Path]) -> None:
+    """Raise InputError unless ``out`` can be written without touching what is read."""
+    if out.resolve() in [folder.resolve() for folder in folders]:
+        raise InputError(f"{out}: is read from; name another folder to write to")
+    require_writable(out)
+
+
+def _mesh(volume: Volume, found: str) -> Mesh:
+    mesh = marching_cubes(volume)
+    if len(mesh.triangles) == 0:
+        raise InputError(f"{found}, but no surface; nothing was written")
+    return mesh
+
+
+def _sizes(volume: Volume, mesh: Mesh) -> dict[str, Any]:
+    return {
+        "blocks": volume.table.count,
+        "vertices": len(mesh.vertices),
+        "triangles": len(mesh.triangles),
+        "peak_memory_mb": peak_memory_mb(),
+    }
+
+
+def _listed(corner: ArrayLike) -> list[float | None]:
+    """Return a corner as JSON has it, null for no bound."""
+    return [float(value) if np.isfinite(value) else None for value in np.asarray(corner)]
+
+
+def _write(out: Path, volume: Volume, mesh: Mesh, record: ReconstructionRecord) -> ReconstructionRecord:
+    """Write the files, the record last: what an older reconstruction left here goes first, as it no longer holds."""
+    for older in (RECORD_FILE, POSES_FILE):
+        (out / older).unlink(missing_ok=True)
+    write_ply(out / MESH_FILE, mesh)
+    save_volume(out / VOLUME_FILE, volume)
+    write_record(out, record)
+    return record
