@@ -269,6 +269,7 @@ def find_cells(
     Blocks meshed ``apart`` share no vertices: each has a group of eight slots to itself, for the blocks at its corners.
     """
     device, table = volume.device, volume.table
+    assert not apart or meshed is not None, "blocks that are meshed apart are listed"
     cells = _slots(volume, meshed, apart=apart)
     layers = len(cells.inside)
     lanes = _CUDA_LANES if device.is_cuda else 1
