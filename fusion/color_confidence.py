@@ -9,107 +9,75 @@ from functools import cache
 
 import warp as wp
 
-from fusion.depth_tiles import DepthTiles
 from fusion.devices import Kernel, launch_in_slabs
 from fusion.frame_batch import FrameBatch
 
-# Most tiles lie in a neighbourhood without an edge, which their ranges tell. In the others a pixel is an edge where the
-# 3×3 pixels around it span more than the step, or one of them has no depth.
+# A pixel is at an edge where the 3×3 pixels around it span more than the step, or one of them has no depth. On the CPU
+# a thread has a row of the image, whose inner pixels become vector lanes; on CUDA it has one pixel.
 _LOWER_IN_CPP = """
-    const int rows = ranges.shape[1], columns = ranges.shape[2];
     const int height = depth.shape[1], width = depth.shape[2];
-    const size_t first_tile = (size_t)frame * rows * columns;
-    float nearest = 3.0e38f, farthest = 0.0f;
-    bool all_valid = true;
-    for (int v = tile_v > 0 ? tile_v - 1 : 0; v <= tile_v + 1 && v < rows; ++v) {
-        for (int u = tile_u > 0 ? tile_u - 1 : 0; u <= tile_u + 1 && u < columns; ++u) {
-            const wp::vec4 &range = ranges.data[first_tile + v * columns + u];
-            nearest = range.c[0] < nearest ? range.c[0] : nearest;
-            farthest = range.c[1] > farthest ? range.c[1] : farthest;
-            farthest = range.c[3] > farthest ? range.c[3] : farthest;
-            all_valid &= whole.data[first_tile + v * columns + u] != 0;
-        }
-    }
-    if (farthest == 0.0f || (all_valid && farthest - nearest <= step)) return;
-    const size_t image = (size_t)frame * height * width;
-    const auto *depths = depth.data + image;
-    const int v_end = height - 8 * tile_v < 8 ? height : 8 * tile_v + 8;
-    const int u0 = 8 * tile_u, lanes = width - u0 < 8 ? width - u0 : 8;
-    const bool inner = u0 > 0 && u0 + 8 < width;
-    for (int v = 8 * tile_v; v < v_end; ++v) {
-        float low[8], high[8];
-        for (int i = 0; i < 8; ++i) { low[i] = 3.0e38f; high[i] = 0.0f; }
-        for (int row = v > 0 ? v - 1 : 0; row <= v + 1 && row < height; ++row) {
-            const auto *line = depths + (size_t)row * width;
-            for (int du = -1; du <= 1; ++du) {
-                if (inner) {
-                    for (int i = 0; i < 8; ++i) {
-                        const float z = (float)line[u0 + i + du];
-                        low[i] = z < low[i] ? z : low[i];
-                        high[i] = z > high[i] ? z : high[i];
-                    }
-                } else {
-                    for (int i = 0; i < lanes; ++i) {
-                        const int u = u0 + i + du;
-                        const float z = (float)line[u < 0 ? 0 : u < width ? u : width - 1];
-                        low[i] = z < low[i] ? z : low[i];
-                        high[i] = z > high[i] ? z : high[i];
-                    }
-                }
-            }
-        }
-        unsigned int *pixels = color.data + image + (size_t)v * width + u0;
-        for (int i = 0; i < lanes; ++i) {
-            const bool edge = !(low[i] > 0.0f) | !((high[i] - low[i]) * scale <= step);
-            pixels[i] = edge ? (pixels[i] & 0x00ffffffu) | 0x01000000u : pixels[i];
-        }
-    }
+    const T *here = depth.data + ((size_t)frame * height + v) * width;
+    const T *above = v > 0 ? here - width : here, *below = v < height - 1 ? here + width : here;
+    unsigned int *pixels = color.data + ((size_t)frame * height + v) * width;
+    auto lower = [&](int u, int before, int after) {
+        T low = here[u], high = here[u];
+        auto look = [&](T z) { low = z < low ? z : low; high = z > high ? z : high; };
+        look(here[before]); look(here[after]);
+        look(above[before]); look(above[u]); look(above[after]);
+        look(below[before]); look(below[u]); look(below[after]);
+        const T span = high - low;
+        const bool edge = !(low > (T)0) | !(span <= step);
+        pixels[u] = edge ? (pixels[u] & 0x00ffffffu) | 0x01000000u : pixels[u];
+    };
+    const int end = u0 + count;
+    int u = u0;
+    if (u == 0) { lower(0, 0, width > 1 ? 1 : 0); ++u; }
+    for (; u < end && u < width - 1; ++u) lower(u, u - 1, u + 1);
+    if (u < end) lower(u, u - 1, u);
 """
 
 
 @cache
 def kernel(depth_type: type) -> Kernel:
-    """Return the kernel for depth of a type, uint16 or float32; its threads take a tile each."""
+    """Return the kernel for depth of a type, uint16 or float32; its threads take ``count`` pixels of a row each."""
+    declared = f"typedef {'unsigned short' if depth_type is wp.uint16 else 'float'} T; const T step = (T)largest_step;"
 
-    @wp.func_native(_LOWER_IN_CPP)
+    @wp.func_native(declared + _LOWER_IN_CPP)
     def lower_at_edges(
         frame: int,
-        tile_v: int,
-        tile_u: int,
+        v: int,
+        u0: int,
+        count: int,
         depth: wp.array3d(dtype=depth_type),
-        scale: float,
-        step: float,
-        ranges: wp.array3d(dtype=wp.vec4),
-        whole: wp.array3d(dtype=wp.uint8),
+        largest_step: float,
         color: wp.array3d(dtype=wp.uint32),
     ) -> None:
-        """Lower the confidence of a tile's pixels at edges."""
+        """Lower the confidence of those of ``count`` pixels that are at an edge."""
 
     @wp.kernel(module="unique", enable_backward=False)
     def lower_confidence(
         first: int,
+        count: int,
         depth: wp.array3d(dtype=depth_type),
-        scale: float,
-        step: float,
-        ranges: wp.array3d(dtype=wp.vec4),
-        whole: wp.array3d(dtype=wp.uint8),
+        largest_step: float,
         color: wp.array3d(dtype=wp.uint32),
     ) -> None:
-        index = wp.tid() + first
-        columns = ranges.shape[2]
-        rows = ranges.shape[1]
-        tile_v = (index / columns) % rows
-        lower_at_edges(index / (columns * rows), tile_v, index % columns, depth, scale, step, ranges, whole, color)
+        parts = depth.shape[2] / count
+        row = (wp.tid() + first) / parts
+        part = wp.tid() + first - row * parts
+        lower_at_edges(row / depth.shape[1], row % depth.shape[1], part * count, count, depth, largest_step, color)
 
     return lower_confidence
 
 
-def lower_confidence_at_edges(batch: FrameBatch, tiles: DepthTiles, *, step: float) -> None:
+def lower_confidence_at_edges(batch: FrameBatch, *, step: float) -> None:
     """Lower the confidence of a batch's colours, in place, where depth changes by more than ``step`` metres or ends."""
+    camera, device = batch.camera, batch.depth.device
+    count = 1 if device.is_cuda else camera.width
     launch_in_slabs(
         kernel(batch.depth.dtype),
-        dim=tiles.ranges.size,
-        inputs=[batch.depth, batch.depth_scale, step, tiles.ranges, tiles.whole],
+        dim=batch.depth.size // count,
+        inputs=[count, batch.depth, min(step / batch.depth_scale, 65535.0)],
         outputs=[batch.color],
-        device=batch.depth.device,
+        device=device,
     )

@@ -42,10 +42,16 @@ def free_memory(device: Device) -> int:
     return int(device.free_memory) if device.is_cuda else int(psutil.virtual_memory().available)
 
 
-def load_kernels(modules: Sequence[str], *, device: Device, progress: ProgressReporter = silent) -> None:
-    """Compile kernel modules, or load them from the user's cache: the first time takes seconds, and is not timed."""
-    advance = progress("kernels", len(modules))
-    for module in modules:
+def load_kernels(
+    modules: Sequence[str], kernels: Sequence[Kernel] = (), *, device: Device, progress: ProgressReporter = silent
+) -> None:
+    """Compile kernel modules, or load them from the user's cache: the first time takes seconds, and is not timed.
+
+    ``kernels`` are those with a module of their own.
+    """
+    loaded = [*modules, *(kernel.module for kernel in kernels)]
+    advance = progress("kernels", len(loaded))
+    for module in loaded:
         wp.load_module(module, device=device)
         advance()
 

@@ -6,23 +6,38 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from datagen.progress import ProgressReporter, silent
+from fusion import color_confidence, depth_tiles, integrate, pixel_weights
 from fusion.block_table import BlockTable
-from fusion.color_confidence import lower_confidence_at_edges
-from fusion.depth_tiles import depth_tiles
+from fusion.devices import Device, load_kernels
 from fusion.find_blocks import find_blocks
 from fusion.frame_batch import FrameBatch
-from fusion.integrate import integrate_frames
 from fusion.integration import Integration
-from fusion.pixel_weights import pixel_weights
 from fusion.visible_blocks import visible_blocks
 from fusion.volume import Volume
+
+KERNEL_MODULES = ("fusion.block_table", "fusion.find_blocks", "fusion.visible_blocks")
+
+
+def load_fusion_kernels(
+    options: Integration, *, device: Device, depth_type: type = wp.uint16, progress: ProgressReporter = silent
+) -> None:
+    """Load all that fusing frames with ``options`` launches, so that no later call has to wait for the compiler."""
+    weighted = options.weighting != "constant"
+    kernels = [
+        depth_tiles.kernel(depth_type),
+        color_confidence.kernel(depth_type),
+        integrate.kernel_for(depth_type, device, options, weighted=weighted),
+        *([pixel_weights.kernel(depth_type)] if weighted else []),
+    ]
+    load_kernels(KERNEL_MODULES, kernels, device=device, progress=progress)
 
 
 def find_batch_blocks(
     table: BlockTable, batch: FrameBatch, *, truncation: float, voxel_size: float
 ) -> NDArray[np.int64]:
     """Enter the blocks of the batch's truncation bands; returns how many each frame added. See ``find_blocks``."""
-    tiles = depth_tiles(batch, split_beyond=2 * truncation)
+    tiles = depth_tiles.depth_tiles(batch, split_beyond=2 * truncation)
     return find_blocks(table, batch, tiles, truncation=truncation, voxel_size=voxel_size)
 
 
@@ -31,9 +46,9 @@ def integrate_batch(volume: Volume, batch: FrameBatch, options: Integration, *, 
 
     Returns the frame masks (blocks, 4) of ``visible_blocks``: which quarters of which blocks were gone through.
     """
-    tiles = depth_tiles(batch, split_beyond=2 * volume.truncation)
-    lower_confidence_at_edges(batch, tiles, step=volume.truncation)
-    weighed = replace(batch, pixel_weights=pixel_weights(batch, options.weighting, step=volume.truncation))
+    tiles = depth_tiles.depth_tiles(batch, split_beyond=2 * volume.truncation)
+    color_confidence.lower_confidence_at_edges(batch, step=volume.truncation)
+    weights = pixel_weights.pixel_weights(batch, options.weighting, step=volume.truncation)
     masks = visible_blocks(volume, batch, tiles)
-    integrate_frames(volume, weighed, masks, options, remove=remove)
+    integrate.integrate_frames(volume, replace(batch, pixel_weights=weights), masks, options, remove=remove)
     return masks

@@ -16,7 +16,7 @@ from functools import cache
 import warp as wp
 
 from fusion.block_table import BLOCK_SIDE
-from fusion.devices import Kernel, launch_in_slabs
+from fusion.devices import Device, Kernel, launch_in_slabs
 from fusion.frame_batch import FrameBatch
 from fusion.integration import Integration
 from fusion.volume import Volume
@@ -168,11 +168,8 @@ class Rules:
 
 
 @cache
-def kernels(depth_type: type, *, bilinear: bool, weighted: bool, drop_off: bool) -> tuple[Kernel, Kernel]:
-    """Return two kernels for the given options.
-
-    The threads of the first take a block each, for the CPU; those of the second a row each, for CUDA.
-    """
+def kernel(depth_type: type, *, on_cuda: bool, bilinear: bool, weighted: bool, drop_off: bool) -> Kernel:
+    """Return the kernel for the given options; its threads take a row of voxels each on CUDA, a block on the CPU."""
     constants = {"BILINEAR": bilinear, "WEIGHTED": weighted, "DROP_OFF": drop_off}
     declared = "".join(f"constexpr bool {name} = {str(value).lower()};\n" for name, value in constants.items())
 
@@ -262,7 +259,18 @@ def kernels(depth_type: type, *, bilinear: bool, weighted: bool, drop_off: bool)
         row = index - number * _ROWS
         integrate(number, row, masks, blocks[number], depth, depth_scale, images, pixel_from_lattice, rules, voxels)
 
-    return integrate_blocks, integrate_rows
+    return integrate_rows if on_cuda else integrate_blocks
+
+
+def kernel_for(depth_type: type, device: Device, options: Integration, *, weighted: bool) -> Kernel:
+    """Return the kernel that integrates with ``options``; ``weighted`` tells that pixels have weights."""
+    return kernel(
+        depth_type,
+        on_cuda=device.is_cuda,
+        bilinear=options.depth_sampling == "bilinear",
+        weighted=weighted,
+        drop_off=options.drop_off,
+    )
 
 
 def integrate_frames(
@@ -274,12 +282,6 @@ def integrate_frames(
     before, to rounding.
     """
     assert batch.color is not None, "integration takes frames with colour"
-    by_block, by_row = kernels(
-        batch.depth.dtype,
-        bilinear=options.depth_sampling == "bilinear",
-        weighted=batch.pixel_weights is not None,
-        drop_off=options.drop_off,
-    )
     images = Images()
     images.color = batch.color
     if batch.pixel_weights is not None:
@@ -288,10 +290,9 @@ def integrate_frames(
     rules.truncation = volume.truncation
     rules.sign = -1.0 if remove else 1.0
     rules.weight_cap = options.weight_cap or 3.0e38
-    on_cuda = volume.device.is_cuda
     launch_in_slabs(
-        by_row if on_cuda else by_block,
-        dim=volume.table.count * (BLOCK_SIDE * BLOCK_SIDE if on_cuda else 1),
+        kernel_for(batch.depth.dtype, volume.device, options, weighted=batch.pixel_weights is not None),
+        dim=volume.table.count * (BLOCK_SIDE * BLOCK_SIDE if volume.device.is_cuda else 1),
         inputs=[
             masks,
             volume.table.blocks,

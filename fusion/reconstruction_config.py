@@ -1,8 +1,9 @@
 """The options of a reconstruction, and what the data suggest where an option is left open."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from datagen.errors import InputError
+from fusion.integration import Integration
 from fusion.survey import SceneSurvey
 from fusion.voxels import Storage
 
@@ -18,7 +19,7 @@ class ReconstructionConfig:
     """What ``fusion reconstruct`` was asked for; None leaves a length to the data.
 
     ``voxel_size``, ``truncation`` and ``depth_max`` are metres; ``frames`` is START:STOP:STEP; ``device`` auto, cpu or
-    cuda[:N]; ``storage`` the form of the volume (``fusion.voxels``). Raises InputError for a length that is not from a
+    cuda[:N]; ``storage`` the form of the volume (``fusion.voxels``); ``integration`` how frames are sampled and weighed. Raises InputError for a length that is not from a
     micrometre to ten kilometres.
     """
 
@@ -28,6 +29,7 @@ class ReconstructionConfig:
     frames: str | None = None
     device: str = "auto"
     storage: Storage = "packed"
+    integration: Integration = field(default_factory=Integration)
 
     def __post_init__(self) -> None:
         """Refuse lengths that make no volume."""

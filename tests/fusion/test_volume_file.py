@@ -3,13 +3,10 @@ import pytest
 from synthetic_scene import CAMERA, SphereScene
 
 from datagen.errors import InputError
-from fusion.depth_tiles import depth_tiles
-from fusion.find_blocks import find_blocks
 from fusion.frame_batch import FrameUploader
-from fusion.integrate import integrate_frames
+from fusion.fuse_batch import find_batch_blocks, integrate_batch
 from fusion.integration import Integration
 from fusion.marching_cubes import marching_cubes
-from fusion.visible_blocks import visible_blocks
 from fusion.volume import Volume
 from fusion.volume_file import load_volume, save_volume
 
@@ -21,10 +18,9 @@ def volume(device):
     batch = FrameUploader(CAMERA, device=device)(
         [f.depth for f in frames], [f.world_from_camera for f in frames], [f.color for f in frames]
     )
-    tiles = depth_tiles(batch, split_beyond=0.12)
-    find_blocks(volume.table, batch, tiles, truncation=0.06, voxel_size=0.02)
+    find_batch_blocks(volume.table, batch, truncation=0.06, voxel_size=0.02)
     volume.reserve(volume.table.count)
-    integrate_frames(volume, batch, visible_blocks(volume, batch, tiles), Integration())
+    integrate_batch(volume, batch, Integration())
     return volume
 
 
