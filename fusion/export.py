@@ -44,6 +44,7 @@ def export(
     target = resolve_device(device)
     if suffix == ".vdb":
         load_openvdb()
+        load_kernels(("fusion.vdb_export",), device=target, progress=progress)
         volume = load_volume(folder / VOLUME_FILE, device=target)
         write_vdb(out, volume)
         return f"{volume.table.count:,} blocks"

@@ -96,7 +96,7 @@ def _pose_of(folder: Path, record: ReconstructionRecord, frame: int | None) -> M
     for fused in record.trajectory:
         if fused.frame == frame:
             return rigid(fused.world_from_camera, source=f"{folder / RECORD_FILE}: trajectory: frame {frame}")
-    source = folder / record.dataset
+    source = (folder / record.dataset).resolve()
     if not source.is_dir():
         raise InputError(f"--frame {frame}: not fused, and its dataset {source} is not there; give one that was fused")
     dataset = open_dataset(source)
