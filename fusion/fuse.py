@@ -1,53 +1,60 @@
 """From frames to a volume: find all blocks, allocate them once, integrate batch by batch."""
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 from datagen.progress import ProgressReporter
 from fusion.block_table import BlockLimitError
-from fusion.depth_tiles import depth_tiles
 from fusion.devices import Device
-from fusion.find_blocks import find_blocks
 from fusion.frame_batch import MAX_BATCH, FrameBatch, FrameUploader
 from fusion.frame_source import FrameSource
-from fusion.integrate import integrate_frames
+from fusion.fuse_batch import find_batch_blocks, integrate_batch
 from fusion.integration import Integration
 from fusion.reconstruction_config import Lengths
 from fusion.stopwatch import Stopwatch
-from fusion.survey import SceneSurvey
-from fusion.visible_blocks import visible_blocks
+from fusion.survey import SceneSurvey, combine
 from fusion.volume import Volume
-from fusion.volume_memory import block_budget, is_hopeless, too_large
+from fusion.volume_memory import block_budget, least_blocks, too_large
+from fusion.voxel_counts import UpdateCounter
 from fusion.voxels import Storage
+
+CPU_BATCH = 16
+"""On the CPU the images of a batch should stay in its cache; a GPU rather gains from visiting voxels less often."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fused:
+    """A volume of all frames, what they cover, and how many voxels were gone through, once a frame each."""
+
+    volume: Volume
+    survey: SceneSurvey
+    voxel_updates: int
+
+
+def batch_size(device: Device) -> int:
+    """Return how many frames to fuse at a time on a device."""
+    return MAX_BATCH if device.is_cuda else CPU_BATCH
 
 
 def fuse(
     source: FrameSource,
-    survey: SceneSurvey,
     lengths: Lengths,
     *,
     device: Device,
     storage: Storage,
+    integration: Integration,
     clock: Stopwatch,
     progress: ProgressReporter,
-) -> Volume:
-    """Integrate all frames of ``source``; its time goes to the clock's stage "integrate".
+) -> Fused:
+    """Integrate all frames of ``source``; its time goes to the clock's stages "allocate" and "integrate".
 
     Every block exists before the first frame is integrated, so each frame has its say in each block that it sees,
-    whatever their order. Raises InputError where the volume does not fit into memory, before it is allocated.
+    whatever their order. Raises InputError where no frame has a valid depth, and where the volume does not fit into
+    memory, before it is allocated.
     """
     upload = FrameUploader(
-        source.dataset.camera,
-        device=device,
-        capacity=min(len(source.frame_ids), MAX_BATCH),
-        depth_scale=source.dataset.depth_scale,
+        source.dataset.camera, device=device, capacity=source.batch_size, depth_scale=source.dataset.depth_scale
     )
-
-    def depth_batches() -> Iterator[FrameBatch]:
-        for frame_ids in source.batches():
-            yield upload(source.depths(frame_ids), [source.poses[i] for i in frame_ids])
-
-    if is_hopeless(survey, lengths, device=device, storage=storage):
-        raise too_large(depth_batches, survey, lengths, device=device, storage=storage)
     volume = Volume(
         voxel_size=lengths.voxel_size,
         truncation=lengths.truncation,
@@ -56,31 +63,47 @@ def fuse(
         storage=storage,
     )
     try:
-        _find_all_blocks(volume, depth_batches(), len(source.frame_ids), clock, progress)
+        _find_all_blocks(volume, source, upload, lengths, clock, progress)
     except BlockLimitError:
-        raise too_large(depth_batches, survey, lengths, device=device, storage=storage) from None
-    volume.table.sort()
-    volume.reserve(volume.table.count)
+
+        def depth_batches() -> Iterator[FrameBatch]:
+            return (upload(frames.depths, frames.poses) for frames in source.depth_batches())
+
+        raise too_large(depth_batches, source.surveys, lengths, device=device, storage=storage) from None
+    survey = combine(list(source.surveys.values()), source.dataset.camera)
+    with clock("allocate"):
+        volume.table.sort()
+        volume.reserve(volume.table.count)
+    counter = UpdateCounter(volume)
     advance = progress("integrate", len(source.frame_ids))
-    for frame_ids in source.batches():
-        depths, colors = source.depths(frame_ids), source.colors(frame_ids)
+    for frames in source.batches():
         with clock("integrate"):
-            batch = upload(depths, [source.poses[i] for i in frame_ids], colors)
-            tiles = depth_tiles(batch, split_beyond=2 * volume.truncation)
-            integrate_frames(volume, batch, visible_blocks(volume, batch, tiles), Integration())
-        for _ in frame_ids:
+            counter.add(integrate_batch(volume, upload(frames.depths, frames.poses, frames.colors), integration))
+        for _ in frames.frame_ids:
             advance()
-    return volume
+    return Fused(volume=volume, survey=survey, voxel_updates=counter.updates)
 
 
 def _find_all_blocks(
-    volume: Volume, batches: Iterator[FrameBatch], total: int, clock: Stopwatch, progress: ProgressReporter
+    volume: Volume,
+    source: FrameSource,
+    upload: FrameUploader,
+    lengths: Lengths,
+    clock: Stopwatch,
+    progress: ProgressReporter,
 ) -> None:
     """Run the allocation pass over all frames; no voxel is allocated yet."""
-    advance = progress("allocate", total)
-    for batch in batches:
-        with clock("integrate"):
-            tiles = depth_tiles(batch, split_beyond=2 * volume.truncation)
-            find_blocks(volume.table, batch, tiles, truncation=volume.truncation, voxel_size=volume.voxel_size)
-        for _ in range(len(batch)):
+    advance = progress("allocate", len(source.frame_ids))
+    for frames in source.depth_batches():
+        with clock("allocate"):
+            for frame_id in frames.frame_ids:
+                if least_blocks(source.surveys[frame_id], lengths) > volume.table.max_blocks:
+                    raise BlockLimitError(f"frame {frame_id} alone asks for more blocks than memory allows")
+            find_batch_blocks(
+                volume.table,
+                upload(frames.depths, frames.poses),
+                truncation=volume.truncation,
+                voxel_size=volume.voxel_size,
+            )
+        for _ in frames.frame_ids:
             advance()

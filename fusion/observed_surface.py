@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from datagen.dataset import Dataset
 from datagen.progress import ProgressReporter, silent
 from fusion.devices import Device, launch_in_slabs
-from fusion.frame_batch import MAX_BATCH, FrameBatch, FrameUploader
+from fusion.frame_batch import FrameBatch, FrameUploader
 from fusion.frame_source import FrameSource
 
 wp.set_module_options({"enable_backward": False})
@@ -24,14 +24,14 @@ def _mark_observed(
     points: wp.array(dtype=wp.vec3),
     depth: wp.array3d(dtype=wp.uint16),
     depth_scale: float,
-    camera_from_world: wp.array(dtype=wp.mat44),
+    camera_from_world: wp.array(dtype=wp.mat44d),
     intrinsics: wp.vec4,  # fx, fy, cx, cy
     slack: float,
     observed: wp.array(dtype=wp.uint8),
 ) -> None:
     index = wp.tid() + first
     for frame in range(depth.shape[0]):
-        point = wp.transform_point(camera_from_world[frame], points[index])
+        point = wp.vec3(wp.transform_point(camera_from_world[frame], wp.vec3d(points[index])))
         if point[2] > 0.0:
             u = int(wp.floor(intrinsics[0] * point[0] / point[2] + intrinsics[2] + 0.5))
             v = int(wp.floor(intrinsics[1] * point[1] / point[2] + intrinsics[3] + 0.5))
@@ -56,15 +56,14 @@ def observed_points(
     """
     observed = wp.zeros(len(points), dtype=wp.uint8, device=device)
     on_device = wp.array(points.astype(np.float32), dtype=wp.vec3, device=device)
-    upload = FrameUploader(
-        dataset.camera, device=device, capacity=min(len(frame_ids), MAX_BATCH), depth_scale=dataset.depth_scale
-    )
     advance: Callable[[], None] = progress("visibility", len(frame_ids))
     with FrameSource(dataset, frame_ids, depth_max=depth_max) as source:
-        for batch_ids in source.batches():
-            batch = upload(source.depths(batch_ids), [source.poses[i] for i in batch_ids])
-            _mark(batch, on_device, observed, device)
-            for _ in batch_ids:
+        upload = FrameUploader(
+            dataset.camera, device=device, capacity=source.batch_size, depth_scale=dataset.depth_scale
+        )
+        for frames in source.depth_batches():
+            _mark(upload(frames.depths, frames.poses), on_device, observed, device)
+            for _ in frames.frame_ids:
                 advance()
     return observed.numpy() > 0
 
@@ -78,7 +77,7 @@ def _mark(batch: FrameBatch, points: wp.array, observed: wp.array, device: Devic
             points,
             batch.depth,
             batch.depth_scale,
-            batch.camera_from_lattice(1.0),
+            batch.camera_from_world,
             wp.vec4(camera.fx, camera.fy, camera.cx, camera.cy),
             PIXELS_OF_SLACK / min(camera.fx, camera.fy),
         ],

@@ -3,8 +3,7 @@
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
-
-import numpy as np
+from typing import Any
 
 from datagen.atomic_write import require_writable
 from datagen.dataset import Dataset
@@ -12,13 +11,14 @@ from datagen.dataset_format import Intrinsics
 from datagen.errors import InputError
 from datagen.frame_selection import select_frames
 from datagen.progress import ProgressReporter, silent
-from fusion.devices import load_kernels, resolve_device
+from fusion.devices import Device, load_kernels, resolve_device
 from fusion.evaluate import Observers, evaluate
 from fusion.frame_source import FrameSource
-from fusion.fuse import fuse
+from fusion.fuse import Fused, batch_size, fuse
+from fusion.fuse_batch import load_fusion_kernels
 from fusion.marching_cubes import marching_cubes
 from fusion.mesh import Mesh, read_mesh, write_ply
-from fusion.reconstruction_config import ReconstructionConfig, choose_lengths
+from fusion.reconstruction_config import Lengths, ReconstructionConfig, choose_lengths
 from fusion.reconstruction_files import (
     MESH_FILE,
     POSES_FILE,
@@ -33,17 +33,12 @@ from fusion.reconstruction_files import (
     write_record,
 )
 from fusion.stopwatch import Stopwatch
-from fusion.survey import SceneSurvey, combine, survey_frame
+from fusion.survey import SceneSurvey, combine
 from fusion.volume import Volume
 from fusion.volume_file import save_volume
+from fusion.voxel_counts import count_observed
 
-KERNEL_MODULES = (
-    "fusion.block_table",
-    "fusion.find_blocks",
-    "fusion.visible_blocks",
-    "fusion.cells",
-    "fusion.marching_cubes",
-)
+KERNEL_MODULES = ("fusion.voxel_counts", "fusion.cells", "fusion.marching_cubes")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,62 +61,43 @@ def reconstruct(
     require_writable(folder)
     ground_truth = None if dataset.ground_truth_mesh is None else read_mesh(dataset.ground_truth_mesh)
     device = resolve_device(config.device)
+    load_fusion_kernels(config.integration, device=device, progress=progress)
     load_kernels(KERNEL_MODULES, device=device, progress=progress)
     start = time.perf_counter()
     clock = Stopwatch(device)
     frame_ids = select_frames(dataset.frame_ids, config.frames)
-    with FrameSource(dataset, frame_ids, depth_max=config.depth_max) as source:
-        survey = _survey(source, progress)
-        lengths = choose_lengths(config, survey)
-        volume = fuse(source, survey, lengths, device=device, storage=config.storage, clock=clock, progress=progress)
-    mesh = _mesh(volume, dataset, clock, progress)
-    metrics = None
-    if ground_truth is not None:
-        metrics = evaluate(
-            mesh,
-            ground_truth,
-            thresholds=(lengths.voxel_size / 2, lengths.voxel_size),
+    with FrameSource(dataset, frame_ids, depth_max=config.depth_max, batch_size=batch_size(device)) as source:
+        lengths = choose_lengths(config, lambda: _survey(source, progress))
+        fused = fuse(
+            source,
+            lengths,
             device=device,
-            observed_by=Observers(dataset=dataset, frame_ids=frame_ids, depth_max=config.depth_max),
-            voxel_size=lengths.voxel_size,
+            storage=config.storage,
+            integration=config.integration,
+            clock=clock,
             progress=progress,
         )
-    record = ReconstructionRecord(
-        dataset=relative_to(folder, dataset.folder),
-        frames=len(frame_ids),
-        voxel_size_m=lengths.voxel_size,
-        truncation_m=lengths.truncation,
-        bounds_m=(survey.low.tolist(), survey.high.tolist()),
-        blocks=volume.table.count,
-        device=device.name if device.is_cuda else "cpu",
-        seconds=Seconds(decode=source.seconds, total=time.perf_counter() - start, **clock.seconds),
-        frames_per_second=len(frame_ids) / clock.seconds["integrate"],
-        vertices=len(mesh.vertices),
-        triangles=len(mesh.triangles),
-        peak_memory_mb=peak_memory_mb(),
-        metrics=metrics,
-        camera=Intrinsics(**asdict(dataset.camera)),
-        trajectory=[FusedFrame(frame=i, world_from_camera=pose.tolist()) for i, pose in source.poses.items()],
-        depth_max_m=config.depth_max,
-        config=asdict(config),
-        versions=installed_versions(),
-    )
-    result = Reconstruction(volume=volume, mesh=mesh, record=record)
-    _write(folder, result, progress)
-    return result
+    clock.seconds |= {"decode": source.decoding_seconds, "waiting": source.waiting_seconds}
+    mesh = _mesh(fused.volume, dataset, clock, progress)
+    metrics = None
+    if ground_truth is not None:
+        with clock("evaluate"):
+            metrics = _evaluate(mesh, ground_truth, source, config, lengths, device, progress)
+    with clock("write"):
+        _write_arrays(folder, mesh, fused.volume, progress)
+    clock.seconds["total"] = time.perf_counter() - start
+    record = _record(source, folder, config, fused, mesh, metrics, clock)
+    write_record(folder, record)
+    return Reconstruction(volume=fused.volume, mesh=mesh, record=record)
 
 
 def _survey(source: FrameSource, progress: ProgressReporter) -> SceneSurvey:
-    """Decode the depth of all frames once, for the volume's bounds."""
-    camera = source.dataset.camera
+    """Decode the depth of all frames once, for the scale of what they show."""
     advance = progress("survey", len(source.frame_ids))
-    surveys = []
-    for frame_ids in source.batches():
-        for frame_id, depth in zip(frame_ids, source.depths(frame_ids), strict=True):
-            metres = depth.astype(np.float32) * np.float32(source.dataset.depth_scale)
-            surveys.append(survey_frame(camera, metres, source.poses[frame_id]))
+    for frames in source.depth_batches():
+        for _ in frames.frame_ids:
             advance()
-    return combine(surveys, camera)
+    return combine(list(source.surveys.values()), source.dataset.camera)
 
 
 def _mesh(volume: Volume, dataset: Dataset, clock: Stopwatch, progress: ProgressReporter) -> Mesh:
@@ -137,14 +113,69 @@ def _mesh(volume: Volume, dataset: Dataset, clock: Stopwatch, progress: Progress
     return mesh
 
 
-def _write(folder: Path, result: Reconstruction, progress: ProgressReporter) -> None:
-    """Write the files, the record last: what an older reconstruction left here goes first, as it no longer holds."""
-    advance = progress("write", 3)
+def _evaluate(
+    mesh: Mesh,
+    ground_truth: Mesh,
+    source: FrameSource,
+    config: ReconstructionConfig,
+    lengths: Lengths,
+    device: Device,
+    progress: ProgressReporter,
+) -> dict[str, Any]:
+    return evaluate(
+        mesh,
+        ground_truth,
+        thresholds=(lengths.voxel_size / 2, lengths.voxel_size),
+        device=device,
+        observed_by=Observers(dataset=source.dataset, frame_ids=source.frame_ids, depth_max=config.depth_max),
+        voxel_size=lengths.voxel_size,
+        progress=progress,
+    )
+
+
+def _write_arrays(folder: Path, mesh: Mesh, volume: Volume, progress: ProgressReporter) -> None:
+    """Write mesh and volume: what an older reconstruction left here to speak for its own goes first."""
+    advance = progress("write", 2)
     for older in (RECORD_FILE, POSES_FILE):
         (folder / older).unlink(missing_ok=True)
-    write_ply(folder / MESH_FILE, result.mesh)
+    write_ply(folder / MESH_FILE, mesh)
     advance()
-    save_volume(folder / VOLUME_FILE, result.volume)
+    save_volume(folder / VOLUME_FILE, volume)
     advance()
-    write_record(folder, result.record)
-    advance()
+
+
+def _record(
+    source: FrameSource,
+    folder: Path,
+    config: ReconstructionConfig,
+    fused: Fused,
+    mesh: Mesh,
+    metrics: dict[str, Any] | None,
+    clock: Stopwatch,
+) -> ReconstructionRecord:
+    volume, dataset, frames = fused.volume, source.dataset, len(source.frame_ids)
+    seconds = Seconds(**{stage: clock.seconds[stage] for stage in Seconds.model_fields})
+    fusing = seconds.allocate + seconds.integrate
+    return ReconstructionRecord(
+        dataset=relative_to(folder, dataset.folder),
+        frames=frames,
+        voxel_size_m=volume.voxel_size,
+        truncation_m=volume.truncation,
+        bounds_m=(fused.survey.low.tolist(), fused.survey.high.tolist()),
+        blocks=volume.table.count,
+        voxels_observed=count_observed(volume),
+        voxel_updates=fused.voxel_updates,
+        device=volume.device.name if volume.device.is_cuda else "cpu",
+        seconds=seconds,
+        frames_per_second=frames / fusing,
+        frames_per_second_with_decoding=frames / (fusing + seconds.waiting),
+        vertices=len(mesh.vertices),
+        triangles=len(mesh.triangles),
+        peak_memory_mb=peak_memory_mb(),
+        metrics=metrics,
+        camera=Intrinsics(**asdict(dataset.camera)),
+        trajectory=[FusedFrame(frame=i, world_from_camera=pose.tolist()) for i, pose in source.poses.items()],
+        depth_max_m=config.depth_max,
+        config=asdict(config),
+        versions=installed_versions(),
+    )

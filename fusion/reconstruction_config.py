@@ -1,5 +1,6 @@
 """The options of a reconstruction, and what the data suggest where an option is left open."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from datagen.errors import InputError
@@ -19,8 +20,8 @@ class ReconstructionConfig:
     """What ``fusion reconstruct`` was asked for; None leaves a length to the data.
 
     ``voxel_size``, ``truncation`` and ``depth_max`` are metres; ``frames`` is START:STOP:STEP; ``device`` auto, cpu or
-    cuda[:N]; ``storage`` the form of the volume (``fusion.voxels``); ``integration`` how frames are sampled and weighed. Raises InputError for a length that is not from a
-    micrometre to ten kilometres.
+    cuda[:N]; ``storage`` the form of the volume (``fusion.voxels``); ``integration`` how frames are sampled and
+    weighed. Raises InputError for a length that is not from a micrometre to ten kilometres.
     """
 
     voxel_size: float | None = None
@@ -61,15 +62,14 @@ def check_length(option: str, value: float) -> None:
         )
 
 
-def choose_lengths(config: ReconstructionConfig, survey: SceneSurvey) -> Lengths:
-    """Return the lengths that were asked for, and for those left open what suits the data.
+def choose_lengths(config: ReconstructionConfig, survey_scene: Callable[[], SceneSurvey]) -> Lengths:
+    """Return the lengths that were asked for, and for those left open what suits the data, which are surveyed then.
 
     The voxel is twice a pixel's footprint wide, below which it sees noise of single pixels, but no less than a 512th of
     the extent, so that a large scene stays affordable; two digits. The truncation is four voxels. Raises InputError for
     a truncation that is less than a voxel, or so many voxels that it would fill the space between surfaces.
     """
-    size = max(FOOTPRINTS_PER_VOXEL * survey.pixel_footprint, survey.typical_extent / VOXELS_PER_EXTENT)
-    voxel_size = config.voxel_size or float(f"{size:.2g}")
+    voxel_size = config.voxel_size or _suitable_voxel_size(survey_scene())
     truncation = config.truncation or VOXELS_PER_TRUNCATION * voxel_size
     if not voxel_size <= truncation <= MOST_VOXELS_PER_TRUNCATION * voxel_size:
         origin = "" if config.voxel_size else ", which the data suggest,"
@@ -78,3 +78,8 @@ def choose_lengths(config: ReconstructionConfig, survey: SceneSurvey) -> Lengths
             f"{origin} for example {VOXELS_PER_TRUNCATION * voxel_size:g}"
         )
     return Lengths(voxel_size=voxel_size, truncation=truncation, truncation_is_given=config.truncation is not None)
+
+
+def _suitable_voxel_size(survey: SceneSurvey) -> float:
+    size = max(FOOTPRINTS_PER_VOXEL * survey.pixel_footprint, survey.typical_extent / VOXELS_PER_EXTENT)
+    return float(f"{size:.2g}")

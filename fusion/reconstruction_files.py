@@ -28,11 +28,20 @@ class _Record(BaseModel):
 
 
 class Seconds(_Record):
-    """Wall time by stage: ``decode`` reading images, ``integrate`` finding blocks and fusing, ``mesh``, ``total``."""
+    """Wall time by stage; the compiling of kernels is in none.
+
+    ``waiting`` for frames that are still being decoded, ``allocate`` finding the blocks, ``integrate``, ``mesh``,
+    ``evaluate`` the comparison with the truth, ``write`` the mesh and the volume. ``total`` has all of them, and not
+    ``decode``: the processor time of the threads that decode while other stages run.
+    """
 
     decode: float
+    waiting: float
+    allocate: float
     integrate: float
     mesh: float
+    evaluate: float
+    write: float
     total: float
 
 
@@ -47,10 +56,12 @@ class ReconstructionRecord(_Record):
     """The contents of ``reconstruction.json``.
 
     ``dataset`` is the dataset's folder relative to the reconstruction's. ``frames`` counts the fused frames, which
-    ``trajectory`` lists; ``frames_per_second`` is integration alone. ``depth_max_m`` is the depth beyond which
-    pixels were left out, null for none. ``bounds_m`` are the corners of the union of the
-    frusta cut at the observed depth, world frame. ``metrics`` compares the mesh with the ground truth, where there is
-    one.
+    ``trajectory`` lists; ``frames_per_second`` is that of finding blocks and integrating,
+    ``frames_per_second_with_decoding`` has the time spent waiting for frames too. Of the volume's 512 voxels a block
+    ``voxels_observed`` were seen by a frame; ``voxel_updates`` counts the voxels that integration went through, once a
+    frame. ``depth_max_m`` is the depth beyond which pixels were left out, null for none. ``bounds_m`` are the corners
+    of the union of the frusta cut at the observed depth, world frame. ``metrics`` compares the mesh with the ground
+    truth, where there is one.
     """
 
     format: Literal["scanback-reconstruction"] = "scanback-reconstruction"
@@ -61,9 +72,12 @@ class ReconstructionRecord(_Record):
     truncation_m: float = Field(gt=0)
     bounds_m: tuple[list[float], list[float]]
     blocks: int
+    voxels_observed: int
+    voxel_updates: int
     device: str
     seconds: Seconds
     frames_per_second: float
+    frames_per_second_with_decoding: float
     vertices: int
     triangles: int
     peak_memory_mb: float

@@ -1,6 +1,7 @@
 """Wall time by stage."""
 
 import time
+from collections import defaultdict
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -10,10 +11,10 @@ from fusion.devices import Device
 
 
 class Stopwatch:
-    """Adds up wall time by stage, each until the device has done what it was given."""
+    """Adds up wall time by stage, each until the device has done what it was given; 0 for one that never ran."""
 
     def __init__(self, device: Device) -> None:
-        self.seconds: dict[str, float] = {}
+        self.seconds: defaultdict[str, float] = defaultdict(float)
         self._device = device
 
     @contextmanager
@@ -22,4 +23,4 @@ class Stopwatch:
         start = time.perf_counter()
         yield
         wp.synchronize_device(self._device)
-        self.seconds[stage] = self.seconds.get(stage, 0.0) + time.perf_counter() - start
+        self.seconds[stage] += time.perf_counter() - start

@@ -38,14 +38,13 @@ class SceneSurvey:
 
     ``low``, ``high`` (3,) metres, world; ``pixel_footprint`` metres: the typical width of a pixel on the surface;
     ``typical_extent`` metres: the longest side of a box around the middle of the frames' boxes, which a few stray
-    depths do not move; ``largest_area`` m²: the most surface that one frame sees.
+    depths do not move.
     """
 
     low: NDArray[np.float64]
     high: NDArray[np.float64]
     pixel_footprint: float
     typical_extent: float
-    largest_area: float
 
 
 def survey_frame(
@@ -89,7 +88,6 @@ def combine(surveys: Sequence[FrameSurvey], camera: PinholeCamera) -> SceneSurve
         high=highs.max(axis=0),
         pixel_footprint=float(np.median(depths)) / max(camera.fx, camera.fy),
         typical_extent=float(spread.max()),
-        largest_area=max(survey.surface_area for survey in surveys),
     )
 
 

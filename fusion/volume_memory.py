@@ -1,16 +1,15 @@
 """Whether a volume fits into memory, said before it is allocated."""
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 
 from datagen.errors import InputError
 from fusion.block_table import BLOCK_SIDE, BLOCK_VOXELS, BlockLimitError, BlockTable
-from fusion.depth_tiles import depth_tiles
 from fusion.devices import Device, free_memory
-from fusion.find_blocks import find_blocks
 from fusion.frame_batch import FrameBatch
+from fusion.fuse_batch import find_batch_blocks
 from fusion.reconstruction_config import LARGEST_LENGTH, Lengths
-from fusion.survey import SceneSurvey
+from fusion.survey import FrameSurvey
 from fusion.voxels import BYTES_PER_VOXEL, Storage
 
 USABLE_SHARE = 0.7
@@ -18,6 +17,9 @@ USABLE_SHARE = 0.7
 
 INDEX_LIMIT = (1 << 31) // BLOCK_VOXELS - 1
 """Voxels are indexed by 32-bit integers."""
+
+OUTSTANDING = 4
+"""A frame that sees this many times the surface of the others is held to be at fault."""
 
 
 def block_budget(device: Device, storage: Storage) -> int:
@@ -29,36 +31,38 @@ def _bytes_per_block(storage: Storage) -> int:
     return BLOCK_VOXELS * BYTES_PER_VOXEL[storage]
 
 
-def is_hopeless(survey: SceneSurvey, lengths: Lengths, *, device: Device, storage: Storage) -> bool:
-    """Tell whether even one frame's surface, seen as flat, touches more blocks than fit.
+def least_blocks(survey: FrameSurvey, lengths: Lengths) -> float:
+    """Return how many blocks one frame's surface, seen as flat, touches at least.
 
     A plane cuts a cube of side s in at most √2 s², so an area A touches at least A / (√2 s²) blocks; and its band of
     thickness 2 t has a volume of 2 t A, which takes at least 2 t A / s³ blocks.
     """
     side = BLOCK_SIDE * lengths.voxel_size
     layers = max(1 / math.sqrt(2), 2 * lengths.truncation / side)
-    return survey.largest_area * layers > block_budget(device, storage) * side**2
+    return survey.surface_area * layers / side**2
 
 
 def too_large(
     batches: Callable[[], Iterable[FrameBatch]],
-    survey: SceneSurvey,
+    surveys: Mapping[int, FrameSurvey],
     lengths: Lengths,
     *,
     device: Device,
     storage: Storage,
 ) -> InputError:
-    """Return the error for a voxel size that does not fit, with the one that does.
+    """Return the error for a voxel size that does not fit, with the one that does, and the frame at fault if it is one.
 
-    That one is found by counting blocks at coarser sizes. From there on their number goes at most with the inverse cube
+    That size is found by counting blocks at coarser ones. From there on their number goes at most with the inverse cube
     of the size (a band of fixed thickness), or square (one that grows with the voxels). ``batches`` yields all frames,
-    each time it is called.
+    each time it is called; then ``surveys`` has them all.
     """
     budget = block_budget(device, storage)
+    for _ in batches():
+        pass
     coarser, count = lengths, None
     while count is None and coarser.voxel_size < LARGEST_LENGTH:
         coarser = lengths.with_voxel_size(2 * coarser.voxel_size)
-        if not is_hopeless(survey, coarser, device=device, storage=storage):
+        if all(least_blocks(survey, coarser) <= budget for survey in surveys.values()):
             count = _count_blocks(batches(), budget, coarser, device)
     remedy = "leave far depths out with --depth-max"
     if count is not None:
@@ -67,9 +71,23 @@ def too_large(
         fitting = coarser.voxel_size * (count / (0.8 * budget)) ** power
         step = 10.0 ** (math.floor(math.log10(fitting)) - 1)
         remedy = f"{math.ceil(fitting / step) * step:.3g} fits, or {remedy}"
+    bytes_per_block = _bytes_per_block(storage)
     return InputError(
         f"--voxel-size {lengths.voxel_size:g}: the volume would need more than the "
-        f"{budget * _bytes_per_block(storage) / 2**30:.1f} GiB that {device.alias} can give it; {remedy}"
+        f"{budget * bytes_per_block / 2**30:.1f} GiB that {device.alias} can give it; {remedy}"
+        f"{_frame_at_fault(surveys, lengths, bytes_per_block)}"
+    )
+
+
+def _frame_at_fault(surveys: Mapping[int, FrameSurvey], lengths: Lengths, bytes_per_block: int) -> str:
+    """Name the frame that sees far more surface than the others do; say nothing where none stands out."""
+    by_area = sorted(surveys, key=lambda frame_id: surveys[frame_id].surface_area)
+    worst, others = surveys[by_area[-1]], by_area[:-1]
+    if not others or worst.surface_area < OUTSTANDING * surveys[others[len(others) // 2]].surface_area:
+        return ""
+    return (
+        f"; frame {by_area[-1]}, whose depth reaches {worst.farthest:.3g} m, alone asks for at least "
+        f"{least_blocks(worst, lengths) * bytes_per_block / 2**30:.2g} GiB"
     )
 
 
@@ -78,8 +96,7 @@ def _count_blocks(batches: Iterable[FrameBatch], budget: int, lengths: Lengths, 
     table = BlockTable(device=device, max_blocks=budget)
     try:
         for batch in batches:
-            tiles = depth_tiles(batch, split_beyond=2 * lengths.truncation)
-            find_blocks(table, batch, tiles, truncation=lengths.truncation, voxel_size=lengths.voxel_size)
+            find_batch_blocks(table, batch, truncation=lengths.truncation, voxel_size=lengths.voxel_size)
     except BlockLimitError:
         return None
     return table.count

@@ -69,7 +69,14 @@ class SphereScene:
         return [self.frame(i, pose) for i, pose in enumerate(self.poses_around(count, distance=distance))]
 
 
-def write_dataset(folder: Path, frames: list[Frame], camera: PinholeCamera = CAMERA, **metadata: object) -> Path:
+def write_dataset(
+    folder: Path,
+    frames: list[Frame],
+    camera: PinholeCamera = CAMERA,
+    *,
+    depth_scale: float = DEPTH_SCALE,
+    **metadata: object,
+) -> Path:
     """Write frames as a dataset in our format."""
     intrinsics = {name: getattr(camera, name) for name in ("width", "height", "fx", "fy", "cx", "cy")}
     for frame in frames:
@@ -79,12 +86,12 @@ def write_dataset(folder: Path, frames: list[Frame], camera: PinholeCamera = CAM
             color=frame.color,
             depth=frame.depth,
             world_from_camera=frame.world_from_camera,
-            depth_scale=DEPTH_SCALE,
+            depth_scale=depth_scale,
         )
     fields = {
         "frame_count": len(frames),
         "intrinsics": Intrinsics(**intrinsics),
-        "depth_scale": DEPTH_SCALE,
+        "depth_scale": depth_scale,
         "frames_per_second": 30.0,
         "recipe": {},
         "provenance": {},

@@ -60,8 +60,17 @@ def test_the_record_says_what_scripts_rely_on(device, dataset, tmp_path):
     assert record["frames"] == 20
     assert record["voxel_size_m"] == VOXEL_SIZE
     assert record["truncation_m"] == pytest.approx(4 * VOXEL_SIZE)
-    assert set(record["seconds"]) == {"decode", "integrate", "mesh", "total"}
-    assert record["frames_per_second"] == pytest.approx(20 / record["seconds"]["integrate"])
+    seconds = record["seconds"]
+    stages = ("waiting", "allocate", "integrate", "mesh", "evaluate", "write")
+    assert set(seconds) == {"decode", "total", *stages}
+    assert seconds["decode"] > 0
+    # Stages follow each other, decoding runs beside them.
+    assert 0.5 * seconds["total"] < sum(seconds[stage] for stage in stages) <= seconds["total"]
+    fusing = seconds["allocate"] + seconds["integrate"]
+    assert record["frames_per_second"] == pytest.approx(20 / fusing)
+    assert record["frames_per_second_with_decoding"] == pytest.approx(20 / (fusing + seconds["waiting"]))
+    assert 0 < record["voxels_observed"] < 512 * record["blocks"]
+    assert record["voxels_observed"] < record["voxel_updates"] < 20 * 512 * record["blocks"]
     mesh = trimesh.load(tmp_path / "mesh.ply", process=False)
     assert (record["vertices"], record["triangles"]) == (len(mesh.vertices), len(mesh.faces))
     assert {"chamfer_m", "accuracy_m", "completeness_m", "fscore", "normal_consistency"} <= set(record["metrics"])
@@ -117,6 +126,19 @@ def test_a_volume_that_does_not_fit_is_refused_with_the_size_that_does(
     fitting = float(str(error.value).split("; ")[1].split(" fits")[0])
     assert voxel_size < fitting < 0.05
     reconstruct(dataset, tmp_path / "out", config(device, voxel_size=fitting, frames="::4"))
+
+
+def test_one_frame_with_far_depths_is_named_where_the_volume_does_not_fit(device, tmp_path, monkeypatch):
+    frames = SCENE.frames_around(8)
+    frames[5].depth[:] = 60.0
+    folder = write_dataset(tmp_path / "data", frames, depth_scale=0.001)
+    data = open_dataset(folder)
+    monkeypatch.setattr(volume_memory, "free_memory", lambda _: 200_000_000)
+    with pytest.raises(InputError, match=r"frame 5, whose depth reaches 60 m, alone asks for at least .* GiB") as error:
+        reconstruct(data, tmp_path / "out", config(device, voxel_size=0.02))
+    assert "leave far depths out with --depth-max" in str(error.value)
+    assert not (tmp_path / "out").exists()
+    reconstruct(data, tmp_path / "out", config(device, voxel_size=0.02, depth_max=50.0))
 
 
 @pytest.mark.parametrize(
