@@ -57,12 +57,20 @@ def load_kernels(
 
 
 def launch_in_slabs(
-    kernel: Kernel, *, dim: int, inputs: list[Any], outputs: list[Any], device: Device, block_dim: int = 256
+    kernel: Kernel,
+    *,
+    dim: int,
+    inputs: list[Any],
+    outputs: list[Any],
+    device: Device,
+    block_dim: int = 256,
+    least_slab: int = 1,
 ) -> None:
     """Launch ``kernel`` over [0, dim); on the CPU in slabs on all cores.
 
     The kernel's first parameter is the index at which its slab begins, to be added to ``wp.tid()``. Its threads must
-    not write to the same place: Warp's atomics are not atomic across CPU launches.
+    not write to the same place: Warp's atomics are not atomic across CPU launches. Where a thread does little, a slab
+    of fewer than ``least_slab`` is not worth a launch.
     """
     if dim == 0:
         return
@@ -73,13 +81,16 @@ def launch_in_slabs(
     wp.load_module(kernel.module, device=device)
     threads = _core_count()
     # Several slabs a core, so that a core which is done early takes over work.
-    slab = max(-(-dim // (8 * threads)), 1)
+    slab = max(-(-dim // (8 * threads)), least_slab)
 
     def run(first: int) -> None:
         size = min(slab, dim - first)
         wp.launch(kernel, dim=size, inputs=[first, *inputs], outputs=outputs, device=device)
 
-    list(_pool().map(run, range(0, dim, slab)))
+    if dim <= slab:
+        run(0)
+    else:
+        map_on_cores(run, range(0, dim, slab))
 
 
 def map_on_cores(function: Callable[[_Item], None], items: Iterable[_Item]) -> None:

@@ -26,6 +26,7 @@ from fusion.block_table import (
 from fusion.depth_tiles import NONE_NEAR, TILE, DepthTiles
 from fusion.devices import launch_in_slabs
 from fusion.frame_batch import FrameBatch
+from fusion.frame_matrices import FrameMatrices
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
@@ -39,7 +40,6 @@ _FAR = wp.constant(3.0e38)
 _ENTERED = wp.constant(ENTERED)
 _TABLE_FULL = wp.constant(TABLE_FULL)
 _OUT_OF_RANGE = wp.constant(OUT_OF_RANGE)
-_MOST_BLOCKS_ALONG = wp.constant(4 * COORDINATE_LIMIT)
 
 
 @wp.struct
@@ -205,7 +205,7 @@ def _enter_blocks(
     truncation: float,
     voxel_size: float,
     table: BlockArrays,
-    requests: wp.array2d(dtype=int),
+    answers: wp.array2d(dtype=int),
 ) -> None:
     index = wp.tid() + first
     columns = (ranges.shape[2] + _CELL_TILES - 1) / _CELL_TILES
@@ -246,51 +246,79 @@ def _enter_blocks(
                 request = enter_range(tile[2], tile[3], u, v, 1, pose, intrinsics, truncation, voxel_size, table)
         entered += request.entered
         if request.problem != 0:
-            requests[index, 1] = request.problem
+            answers[index, 1] = request.problem
             break
         step += size * size
-    requests[index, 0] = entered
+    answers[index, 0] = entered
+
+
+def launch_find_blocks(
+    table: BlockTable,
+    batch: FrameBatch,
+    tiles: DepthTiles,
+    matrices: FrameMatrices,
+    *,
+    truncation: float,
+    voxel_size: float,
+) -> wp.array:
+    """Enter the blocks of the batch's bands, as far as the table has room; returns the answers of ``_enter_blocks``.
+
+    They are (frames · cells, 2): how many blocks each cell of each frame added, and what stood in its way.
+    """
+    camera = batch.camera
+    _, rows, columns = tiles.ranges.shape
+    cells = len(batch) * -(-rows // CELL_TILES) * -(-columns // CELL_TILES)
+    answers = wp.zeros((cells, 2), dtype=int, device=table.device)
+    launch_in_slabs(
+        _enter_blocks,
+        dim=cells,
+        inputs=[
+            tiles.ranges,
+            matrices.world_from_camera,
+            wp.vec4(camera.fx, camera.fy, camera.cx, camera.cy),
+            truncation,
+            voxel_size,
+        ],
+        outputs=[table.arrays, answers],
+        device=table.device,
+        least_slab=64,
+    )
+    return answers
 
 
 def find_blocks(
-    table: BlockTable, batch: FrameBatch, tiles: DepthTiles, *, truncation: float, voxel_size: float
+    table: BlockTable,
+    batch: FrameBatch,
+    tiles: DepthTiles,
+    matrices: FrameMatrices,
+    *,
+    truncation: float,
+    voxel_size: float,
 ) -> NDArray[np.int64]:
     """Enter the blocks that the batch's truncation bands touch; returns how many each frame added, (frames,).
 
     Which they are depends on the frames alone. ``truncation`` and ``voxel_size`` are metres. Raises BlockLimitError
-    where the table may not grow as far as the frames ask, and InputError for surfaces too far away to be numbered; both
-    name the frame, by its place in the batch.
+    where the table may not grow as far as the frames ask, and InputError for surfaces too far away to be numbered.
     """
-    camera = batch.camera
-    _, rows, columns = tiles.ranges.shape
-    cells = -(-rows // CELL_TILES) * -(-columns // CELL_TILES)
     entered = np.zeros(len(batch), dtype=np.int64)
     while True:
-        requests = wp.zeros((len(batch) * cells, 2), dtype=int, device=table.device)
-        launch_in_slabs(
-            _enter_blocks,
-            dim=len(batch) * cells,
-            inputs=[
-                tiles.ranges,
-                batch.world_from_camera,
-                wp.vec4(camera.fx, camera.fy, camera.cx, camera.cy),
-                truncation,
-                voxel_size,
-            ],
-            outputs=[table.arrays, requests],
-            device=table.device,
-        )
-        answers = requests.numpy().reshape(len(batch), cells, 2)
-        entered += answers[:, :, 0].sum(axis=1)
-        problems = answers[:, :, 1].max(axis=1)
-        if (problems == OUT_OF_RANGE).any():
-            reach = COORDINATE_LIMIT * BLOCK_SIDE * voxel_size
-            raise InputError(
-                f"a surface is more than {reach:.3g} m from the world's origin, too far for voxels of {voxel_size:g} m;"
-                " use a larger --voxel-size, or leave far depths out with --depth-max"
-            )
-        if not (problems == TABLE_FULL).any():
+        answers = launch_find_blocks(table, batch, tiles, matrices, truncation=truncation, voxel_size=voxel_size)
+        per_frame = answers.numpy().reshape(len(batch), -1, 2)
+        entered += per_frame[:, :, 0].sum(axis=1)
+        problem = per_frame[:, :, 1].max()
+        if problem == OUT_OF_RANGE:
+            raise out_of_range(voxel_size)
+        if problem != TABLE_FULL:
             break
         table.grow()
     table.read_count()
     return entered
+
+
+def out_of_range(voxel_size: float) -> InputError:
+    """Return the error for surfaces too far away to be numbered."""
+    reach = COORDINATE_LIMIT * BLOCK_SIDE * voxel_size
+    return InputError(
+        f"a surface is more than {reach:.3g} m from the world's origin, too far for voxels of {voxel_size:g} m; use a "
+        "larger --voxel-size, or leave far depths out with --depth-max"
+    )

@@ -23,40 +23,19 @@ class FrameBatch:
     ``depth`` (frames, height, width) planar, 0 = invalid, in steps of ``depth_scale`` metres: uint16 as images store
     it, or float32 metres, then ``depth_scale`` is 1. ``color`` (frames, height, width) uint32, red in the lowest byte,
     its confidence in the highest, or None for depth alone; ``pixel_weights`` (frames, height, width) float32, None
-    where all are 1; ``world_from_camera`` (frames,) mat44, and ``poses`` the same on the host in double precision.
+    where all are 1; ``camera_from_world`` (frames,) mat44d.
     """
 
     camera: PinholeCamera
     depth: wp.array
     depth_scale: float
     color: wp.array | None
-    world_from_camera: wp.array
-    poses: tuple[Matrix, ...]
+    camera_from_world: wp.array
     pixel_weights: wp.array | None = None
 
     def __len__(self) -> int:
         """Return the number of frames."""
-        return len(self.poses)
-
-    def lattice_matrices(self, voxel_size: float) -> NDArray[np.float64]:
-        """Return camera_from_lattice (frames, 4, 4): from lattice coordinates, i of voxel i, to metres."""
-        world_from_lattice = np.diag([voxel_size, voxel_size, voxel_size, 1.0])
-        return np.stack([inverse(pose) @ world_from_lattice for pose in self.poses])
-
-    def camera_from_lattice(self, voxel_size: float) -> wp.array:
-        """Return (frames,) mat44 that take lattice coordinates, i of voxel i, into the camera frame, metres."""
-        return self._on_device(self.lattice_matrices(voxel_size))
-
-    def pixel_from_lattice(self, voxel_size: float) -> wp.array:
-        """Return (frames,) mat44 that take lattice coordinates to (u·z, v·z, z, 1)."""
-        camera = self.camera
-        pixel_from_camera = np.diag([camera.fx, camera.fy, 1.0, 1.0])
-        pixel_from_camera[:2, 2] = camera.cx, camera.cy
-        return self._on_device(pixel_from_camera @ self.lattice_matrices(voxel_size))
-
-    def _on_device(self, matrices: NDArray[np.float64]) -> wp.array:
-        """Multiplied in double precision, only the product is rounded."""
-        return wp.array(matrices.astype(np.float32), dtype=wp.mat44, device=self.depth.device)
+        return int(self.camera_from_world.shape[0])
 
 
 class FrameUploader:
@@ -76,7 +55,9 @@ class FrameUploader:
         depth_type = wp.float32 if depth_scale is None else wp.uint16
         self._host_depth = wp.empty(shape, dtype=depth_type, device="cpu", pinned=device.is_cuda)
         self._host_color = wp.empty(shape, dtype=wp.uint32, device="cpu", pinned=device.is_cuda)
+        self._host_poses = wp.empty(capacity, dtype=wp.mat44d, device="cpu", pinned=device.is_cuda)
         # On the CPU the kernels read the host buffers themselves.
+        self._poses = wp.empty_like(self._host_poses, device=device) if device.is_cuda else self._host_poses
         self._depth = wp.empty_like(self._host_depth, device=device) if device.is_cuda else self._host_depth
         self._color = wp.empty_like(self._host_color, device=device) if device.is_cuda else self._host_color
 
@@ -92,7 +73,9 @@ class FrameUploader:
         (height, width, 3) RGB.
         """
         count = len(depths)
-        depth_rows, color_rows = self._host_depth.numpy(), self._host_color.numpy()
+        depth_rows, color_rows, pose_rows = (
+            host.numpy() for host in (self._host_depth, self._host_color, self._host_poses)
+        )
 
         def copy(i: int) -> None:
             np.copyto(depth_rows[i], depths[i], casting="no")
@@ -102,7 +85,9 @@ class FrameUploader:
                 cv2.cvtColor(colors[i], cv2.COLOR_RGB2RGBA, dst=rgba)
 
         map_on_cores(copy, range(count))
+        pose_rows[:count] = [inverse(pose) for pose in poses]
         if self.device.is_cuda:
+            wp.copy(self._poses, self._host_poses)
             wp.copy(self._depth, self._host_depth)
             if colors is not None:
                 wp.copy(self._color, self._host_color)
@@ -113,6 +98,5 @@ class FrameUploader:
             depth=self._depth[:count],
             depth_scale=self.depth_scale,
             color=None if colors is None else self._color[:count],
-            world_from_camera=wp.array(np.stack(poses).astype(np.float32), dtype=wp.mat44, device=self.device),
-            poses=tuple(poses),
+            camera_from_world=self._poses[:count],
         )

@@ -12,11 +12,18 @@ from fusion.block_table import BlockTable
 from fusion.devices import Device, load_kernels
 from fusion.find_blocks import find_blocks
 from fusion.frame_batch import FrameBatch
+from fusion.frame_matrices import frame_matrices
 from fusion.integration import Integration
 from fusion.visible_blocks import visible_blocks
 from fusion.volume import Volume
 
-KERNEL_MODULES = ("fusion.block_table", "fusion.find_blocks", "fusion.visible_blocks")
+KERNEL_MODULES = (
+    "fusion.block_table",
+    "fusion.frame_matrices",
+    "fusion.find_blocks",
+    "fusion.farthest_depths",
+    "fusion.visible_blocks",
+)
 
 
 def load_fusion_kernels(
@@ -38,7 +45,8 @@ def find_batch_blocks(
 ) -> NDArray[np.int64]:
     """Enter the blocks of the batch's truncation bands; returns how many each frame added. See ``find_blocks``."""
     tiles = depth_tiles.depth_tiles(batch, split_beyond=2 * truncation)
-    return find_blocks(table, batch, tiles, truncation=truncation, voxel_size=voxel_size)
+    matrices = frame_matrices(batch, voxel_size)
+    return find_blocks(table, batch, tiles, matrices, truncation=truncation, voxel_size=voxel_size)
 
 
 def integrate_batch(volume: Volume, batch: FrameBatch, options: Integration, *, remove: bool = False) -> wp.array:
@@ -49,6 +57,8 @@ def integrate_batch(volume: Volume, batch: FrameBatch, options: Integration, *, 
     tiles = depth_tiles.depth_tiles(batch, split_beyond=2 * volume.truncation)
     color_confidence.lower_confidence_at_edges(batch, step=volume.truncation)
     weights = pixel_weights.pixel_weights(batch, options.weighting, step=volume.truncation)
-    masks = visible_blocks(volume, batch, tiles)
-    integrate.integrate_frames(volume, replace(batch, pixel_weights=weights), masks, options, remove=remove)
+    matrices = frame_matrices(batch, volume.voxel_size)
+    masks = visible_blocks(volume.table, batch, tiles, matrices, truncation=volume.truncation)
+    weighed = replace(batch, pixel_weights=weights)
+    integrate.integrate_frames(volume, weighed, matrices, masks, options, remove=remove)
     return masks

@@ -18,6 +18,7 @@ import warp as wp
 from fusion.block_table import BLOCK_SIDE
 from fusion.devices import Device, Kernel, launch_in_slabs
 from fusion.frame_batch import FrameBatch
+from fusion.frame_matrices import FrameMatrices
 from fusion.integration import Integration
 from fusion.volume import Volume
 from fusion.voxels import PACKING_IN_CPP, Voxels
@@ -274,12 +275,18 @@ def kernel_for(depth_type: type, device: Device, options: Integration, *, weight
 
 
 def integrate_frames(
-    volume: Volume, batch: FrameBatch, masks: wp.array, options: Integration, *, remove: bool = False
+    volume: Volume,
+    batch: FrameBatch,
+    matrices: FrameMatrices,
+    masks: wp.array,
+    options: Integration,
+    *,
+    remove: bool = False,
 ) -> None:
     """Add a batch of frames to the volume's sums, or take it away, over what they see of its blocks.
 
-    ``masks`` come from ``visible_blocks``. Removing what was added with the same options leaves the sums as they were
-    before, to rounding.
+    ``masks`` (blocks, 4) come from ``visible_blocks``; blocks beyond them are left alone. Removing what was added with
+    the same options leaves the sums as they were before, to rounding.
     """
     assert batch.color is not None, "integration takes frames with colour"
     images = Images()
@@ -292,16 +299,17 @@ def integrate_frames(
     rules.weight_cap = options.weight_cap or 3.0e38
     launch_in_slabs(
         kernel_for(batch.depth.dtype, volume.device, options, weighted=batch.pixel_weights is not None),
-        dim=volume.table.count * (BLOCK_SIDE * BLOCK_SIDE if volume.device.is_cuda else 1),
+        dim=masks.shape[0] * (BLOCK_SIDE * BLOCK_SIDE if volume.device.is_cuda else 1),
         inputs=[
             masks,
             volume.table.blocks,
             batch.depth,
             batch.depth_scale,
             images,
-            batch.pixel_from_lattice(volume.voxel_size),
+            matrices.pixel_from_lattice,
             rules,
         ],
         outputs=[volume.voxels],
         device=volume.device,
+        least_slab=16,
     )

@@ -8,95 +8,24 @@ A block is tested whole, then by quarters of 8×4×4 voxels. A test is one look 
 depth within so many tiles around it.
 """
 
-import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 
-from fusion.block_table import BLOCK_SIDE
+from fusion.block_table import BlockTable
 from fusion.depth_tiles import TILE, DepthTiles
 from fusion.devices import launch_in_slabs
+from fusion.farthest_depths import RADII_IN_CPP, farthest_depths
 from fusion.frame_batch import FrameBatch
-from fusion.volume import Volume
+from fusion.frame_matrices import FrameMatrices
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 QUARTERS = 4
 """Quarter q of a block holds the rows with y // 4 = q & 1 and z // 4 = q >> 1."""
 
-RADII = (1, 2, 3, 4, 6, 8, 12, 16, 24)
-"""For how many tiles around each tile the farthest depth is known; each is at most twice the one before."""
-
-_LANES = 8
-_BLOCK_THREADS = 64
-
-
-# One after the other, each level is the largest of four windows of the level before, moved to its corners. On CUDA a
-# block of threads shares a frame's rows; on the CPU one thread has them all, and the columns become vector lanes.
-_FARTHEST_IN_CPP = """
-    constexpr int RADII[] = {%s};
-    constexpr int LEVELS = sizeof(RADII) / sizeof(int);
-    const int rows = ranges.shape[1], columns = ranges.shape[2];
-    const size_t size = (size_t)rows * columns;
-    const wp::vec4 *tiles = ranges.data + frame * size;
-    float *level = farthest.data + frame * LEVELS * size;
-#ifdef __CUDA_ARCH__
-    const int begin = threadIdx.x, step = blockDim.x;
-#else
-    const int begin = 0, step = 1;
-#endif
-    for (int v = begin; v < rows; v += step) {
-        for (int u = 0; u < columns; ++u) {
-            float z = 0.0f;
-            for (int row = v > 0 ? v - 1 : 0; row <= v + 1 && row < rows; ++row) {
-                for (int column = u > 0 ? u - 1 : 0; column <= u + 1 && column < columns; ++column) {
-                    const wp::vec4 &tile = tiles[row * columns + column];
-                    const float tile_max = tile.c[1] > tile.c[3] ? tile.c[1] : tile.c[3];
-                    z = tile_max > z ? tile_max : z;
-                }
-            }
-            level[v * columns + u] = z;
-        }
-    }
-    for (int l = 1; l < LEVELS; ++l, level += size) {
-        const int further = RADII[l] - RADII[l - 1];
-#ifdef __CUDA_ARCH__
-        __syncthreads();
-#endif
-        for (int v = begin; v < rows; v += step) {
-            const float *top = level + (v > further ? v - further : 0) * columns;
-            const float *bottom = level + (v + further < rows ? v + further : rows - 1) * columns;
-            float *out = level + size + v * columns;
-            auto put = [&](int u, int left, int right) {
-                const float one = top[left] > top[right] ? top[left] : top[right];
-                const float other = bottom[left] > bottom[right] ? bottom[left] : bottom[right];
-                out[u] = one > other ? one : other;
-            };
-            int u = 0;
-            for (; u < further && u < columns; ++u) put(u, 0, u + further < columns ? u + further : columns - 1);
-            for (; u + further < columns; ++u) put(u, u - further, u + further);
-            for (; u < columns; ++u) put(u, u - further, columns - 1);
-        }
-    }
-""" % ", ".join(map(str, RADII))
-
-
-@wp.func_native(_FARTHEST_IN_CPP)
-def farthest_around(frame: int, ranges: wp.array3d(dtype=wp.vec4), farthest: wp.array4d(dtype=float)) -> None:
-    """Fill in a frame's farthest depths, by all threads of a CUDA block together."""
-
-
-@wp.kernel
-def _farthest_depths(
-    first: int, threads: int, ranges: wp.array3d(dtype=wp.vec4), farthest: wp.array4d(dtype=float)
-) -> None:
-    farthest_around((wp.tid() + first) / threads, ranges, farthest)
-
-
-# `views` has a column for each frame, so that lanes are frames: rows 0 to 11 the 3×4 matrix camera_from_lattice, 12 to
-# 14 how far the box reaches along the camera's axes. A lane is true where the frame may see the box.
+# `views` (FrameMatrices) has a column for each frame, so that lanes are frames. A lane's bit is set where the frame may
+# see the box.
 _MARK_IN_CPP = """
     constexpr int LANES = 8;
-    constexpr int RADII[] = {%s};
     constexpr int LEVELS = sizeof(RADII) / sizeof(int);
     const int columns = farthest.shape[3], rows = farthest.shape[2], frames = farthest.shape[0];
     const int stride = views.shape[1];
@@ -107,9 +36,11 @@ _MARK_IN_CPP = """
         float nearest[LANES], u[LANES], v[LANES], radius[LANES];
         int inside[LANES];
         for (int i = 0; i < LANES; ++i) {
-            const float cx = m[i] * x + m[stride + i] * y + m[2 * stride + i] * z + m[3 * stride + i];
-            const float cy = m[4 * stride + i] * x + m[5 * stride + i] * y + m[6 * stride + i] * z + m[7 * stride + i];
-            const float cz = m[8 * stride + i] * x + m[9 * stride + i] * y + m[10 * stride + i] * z + m[11 * stride + i];
+            auto along = [&](int axis) {
+                const float *row = m + 4 * axis * stride + i;
+                return row[0] * x + row[stride] * y + row[2 * stride] * z + row[3 * stride];
+            };
+            const float cx = along(0), cy = along(1), cz = along(2);
             const float hx = reach[i], hy = reach[stride + i], hz = reach[2 * stride + i];
             nearest[i] = cz - hz;
             // |x/z - x0/z0| <= (hx + hz |x0/z0|) / (z0 - hz) for every point of the box.
@@ -121,8 +52,9 @@ _MARK_IN_CPP = """
             v[i] = fy * py + center_v;
             radius[i] = reach_u > reach_v ? reach_u : reach_v;
             const bool close = nearest[i] <= 0.1f * hz;
-            inside[i] = (cz + hz > 0.0f) & (close | ((u[i] + reach_u >= -0.5f) & (v[i] + reach_v >= -0.5f) &
-                                                     (u[i] - reach_u <= wide - 0.5f) & (v[i] - reach_v <= high - 0.5f)));
+            const bool across = (u[i] + reach_u >= -0.5f) & (u[i] - reach_u <= wide - 0.5f);
+            const bool down = (v[i] + reach_v >= -0.5f) & (v[i] - reach_v <= high - 0.5f);
+            inside[i] = (cz + hz > 0.0f) & (close | (across & down));
             // A box around the camera may be anywhere in the image.
             radius[i] = close ? 1e9f : radius[i];
         }
@@ -130,11 +62,11 @@ _MARK_IN_CPP = """
         for (int i = 0; i < LANES; ++i) {
             if (!inside[i] || !(asked >> i & 1u)) continue;
             int level = 0;
-            while (level < LEVELS && radius[i] > %d.0f * RADII[level]) ++level;
+            while (level < LEVELS && radius[i] > (float)(TILE * RADII[level])) ++level;
             if (level == LEVELS) { seen |= 1u << i; continue; }
             const float last_u = wide - 1.0f, last_v = high - 1.0f;
-            const int tile_u = (int)(u[i] < 0.0f ? 0.0f : u[i] > last_u ? last_u : u[i]) / %d;
-            const int tile_v = (int)(v[i] < 0.0f ? 0.0f : v[i] > last_v ? last_v : v[i]) / %d;
+            const int tile_u = (int)(u[i] < 0.0f ? 0.0f : u[i] > last_u ? last_u : u[i]) / TILE;
+            const int tile_v = (int)(v[i] < 0.0f ? 0.0f : v[i] > last_v ? last_v : v[i]) / TILE;
             const float z = farthest.data[(((size_t)(first + i) * LEVELS + level) * rows + tile_v) * columns + tile_u];
             seen |= (unsigned int)((z > 0.0f) & (nearest[i] <= z + truncation)) << i;
         }
@@ -151,10 +83,10 @@ _MARK_IN_CPP = """
         }
     }
     for (int q = 0; q < 4; ++q) masks.data[4 * number + q] = quarters[q];
-""" % (", ".join(map(str, RADII)), TILE, TILE, TILE)
+"""
 
 
-@wp.func_native(_MARK_IN_CPP)
+@wp.func_native(RADII_IN_CPP + f"constexpr int TILE = {TILE};" + _MARK_IN_CPP)
 def mark_quarters(
     x: float,
     y: float,
@@ -177,6 +109,7 @@ def mark_quarters(
 @wp.kernel
 def _mark_visible(
     first: int,
+    count: wp.array(dtype=int),
     blocks: wp.array(dtype=wp.vec3i),
     views: wp.array2d(dtype=float),
     intrinsics: wp.vec4,  # fx, fy, cx, cy
@@ -187,6 +120,10 @@ def _mark_visible(
     masks: wp.array2d(dtype=wp.uint32),
 ) -> None:
     number = wp.tid() + first
+    if number >= count[0]:
+        for quarter in range(4):
+            masks[number, quarter] = wp.uint32(0)
+        return
     block = blocks[number]
     mark_quarters(
         float(8 * block[0]),
@@ -206,51 +143,38 @@ def _mark_visible(
     )
 
 
-def visible_blocks(volume: Volume, batch: FrameBatch, tiles: DepthTiles) -> wp.array:
-    """Return frame masks (blocks, 4) uint32: bit f of a block's quarter is set where frame f may update a voxel."""
-    table, camera, device = volume.table, batch.camera, volume.device
-    masks = wp.empty((table.count, QUARTERS), dtype=wp.uint32, device=device)
+def visible_blocks(
+    table: BlockTable,
+    batch: FrameBatch,
+    tiles: DepthTiles,
+    matrices: FrameMatrices,
+    *,
+    truncation: float,
+    blocks: int | None = None,
+) -> wp.array:
+    """Return frame masks (blocks, 4) uint32: bit f of a block's quarter is set where frame f may update a voxel.
+
+    ``truncation`` is metres. Masks are made for the first ``blocks`` blocks, as many as the host knows of if not given;
+    more than there are get 0.
+    """
+    camera, device = batch.camera, table.device
+    count = table.count if blocks is None else blocks
+    masks = wp.empty((count, QUARTERS), dtype=wp.uint32, device=device)
     launch_in_slabs(
         _mark_visible,
-        dim=table.count,
+        dim=count,
         inputs=[
+            table.arrays.count,
             table.blocks,
-            wp.array(_views(batch, volume.voxel_size), dtype=float, device=device),
+            matrices.views,
             wp.vec4(camera.fx, camera.fy, camera.cx, camera.cy),
             camera.width,
             camera.height,
-            volume.truncation,
-            _farthest(tiles),
+            truncation,
+            farthest_depths(tiles),
         ],
         outputs=[masks],
         device=device,
+        least_slab=64,
     )
     return masks
-
-
-def _farthest(tiles: DepthTiles) -> wp.array:
-    """Return (frames, radii, rows, columns): the farthest depth within each of RADII tiles around each tile."""
-    ranges = tiles.ranges
-    frames, rows, columns = ranges.shape
-    farthest = wp.empty((frames, len(RADII), rows, columns), dtype=float, device=ranges.device)
-    threads = _BLOCK_THREADS if ranges.device.is_cuda else 1
-    launch_in_slabs(
-        _farthest_depths,
-        dim=frames * threads,
-        inputs=[threads, ranges],
-        outputs=[farthest],
-        device=ranges.device,
-        block_dim=_BLOCK_THREADS,
-    )
-    return farthest
-
-
-def _views(batch: FrameBatch, voxel_size: float) -> NDArray[np.float32]:
-    """Return (18, frames rounded up to lanes): camera_from_lattice, and how far a block and a quarter reach in it."""
-    matrices = batch.lattice_matrices(voxel_size)[:, :3]
-    views = np.zeros((18, -(-len(batch) // _LANES) * _LANES), dtype=np.float32)
-    views[:12, : len(batch)] = matrices.reshape(len(batch), 12).T
-    for row, half in ((12, (3.5, 3.5, 3.5)), (15, (3.5, 1.5, 1.5))):
-        # A little more covers rounding.
-        views[row : row + 3, : len(batch)] = 1.001 * np.abs(matrices[:, :, :3]).dot(half).T
-    return views

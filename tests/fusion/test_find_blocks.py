@@ -7,9 +7,8 @@ from datagen.camera import PinholeCamera
 from datagen.errors import InputError
 from datagen.rigid import inverse, look_at, transform_points
 from fusion.block_table import BlockTable
-from fusion.depth_tiles import depth_tiles
-from fusion.find_blocks import find_blocks
 from fusion.frame_batch import FrameUploader
+from fusion.fuse_batch import find_batch_blocks
 
 CAMERA = PinholeCamera(width=45, height=37, fx=40.0, fy=42.0, cx=21.7, cy=17.2)
 
@@ -44,8 +43,7 @@ def blocks_found(frames, camera, device, *, voxel_size, truncation, table=None):
     before = table.count
     depths, poses = zip(*frames, strict=True)
     batch = FrameUploader(camera, device=device, capacity=len(frames))(depths, poses)
-    tiles = depth_tiles(batch, split_beyond=2 * truncation)
-    find_blocks(table, batch, tiles, truncation=truncation, voxel_size=voxel_size)
+    find_batch_blocks(table, batch, truncation=truncation, voxel_size=voxel_size)
     return {tuple(block) for block in table.blocks.numpy()[before : table.count]}
 
 
