@@ -30,8 +30,15 @@ from fusion.reconstruction_files import (
 from fusion.volume import Volume
 from fusion.volume_file import load_volume, save_volume
 from fusion.volume_operations import crop, merge
+from fusion.voxel_counts import count_observed
 
-KERNEL_MODULES = ("fusion.block_table", "fusion.volume_operations", "fusion.cells", "fusion.marching_cubes")
+KERNEL_MODULES = (
+    "fusion.block_table",
+    "fusion.volume_operations",
+    "fusion.cells",
+    "fusion.marching_cubes",
+    "fusion.voxel_counts",
+)
 
 
 def crop_reconstruction(
@@ -72,6 +79,7 @@ def merge_reconstructions(
     cameras or voxels, and for a frame that is in two of them, which would count twice.
     """
     records = [read_record(folder) for folder in folders]
+    _require_disjoint(folders, records)
     _require_new(out, folders)
     record = _joined(folders, records, out)
     target = resolve_device(device)
@@ -83,15 +91,38 @@ def merge_reconstructions(
 
 def _joined(folders: Sequence[Path], records: Sequence[ReconstructionRecord], out: Path) -> ReconstructionRecord:
     """Return the record of all frames together."""
+    lows, highs = zip(*(record.bounds_m for record in records), strict=True)
+    seconds = Seconds(**{stage: sum(getattr(r.seconds, stage) for r in records) for stage in Seconds.model_fields})
+    fusing = seconds.allocate + seconds.integrate
+    frames = sum(record.frames for record in records)
+    farthest = max(math.inf if record.depth_max_m is None else record.depth_max_m for record in records)
+    changed = {
+        "dataset": relative_to(out, folders[0] / records[0].dataset),
+        "frames": frames,
+        "trajectory": sorted((f for record in records for f in record.trajectory), key=lambda fused: fused.frame),
+        "bounds_m": (np.min(lows, axis=0).tolist(), np.max(highs, axis=0).tolist()),
+        "voxel_updates": sum(record.voxel_updates for record in records),
+        "seconds": seconds,
+        "frames_per_second": frames / fusing,
+        "frames_per_second_with_decoding": frames / (fusing + seconds.waiting),
+        "metrics": None,
+        "depth_max_m": farthest if math.isfinite(farthest) else None,
+        "config": {"merged": [record.config for record in records]},
+        "versions": installed_versions(),
+    }
+    return records[0].model_copy(update=changed)
+
+
+def _require_disjoint(folders: Sequence[Path], records: Sequence[ReconstructionRecord]) -> None:
+    """Raise InputError unless these are two or more, of different frames of one dataset."""
     if len(records) < 2:
         raise InputError(f"{folders[0]}: nothing to merge it with; name two reconstructions or more")
-    first = records[0]
-    dataset = (folders[0] / first.dataset).resolve()
+    datasets = [(folder / record.dataset).resolve() for folder, record in zip(folders, records, strict=True)]
     fused_in: dict[int, Path] = {}
-    for folder, record in zip(folders, records, strict=True):
-        if (folder / record.dataset).resolve() != dataset or record.camera != first.camera:
+    for folder, record, dataset in zip(folders, records, datasets, strict=True):
+        if dataset != datasets[0] or record.camera != records[0].camera:
             raise InputError(
-                f"{folder}: of the dataset {(folder / record.dataset).resolve()}, and {folders[0]} of {dataset}; "
+                f"{folder}: of the dataset {dataset}, and {folders[0]} of {datasets[0]}; "
                 "only reconstructions of one dataset are merged, since their poses must be in one world frame"
             )
         for frame in record.trajectory:
@@ -101,23 +132,6 @@ def _joined(folders: Sequence[Path], records: Sequence[ReconstructionRecord], ou
                     "reconstruct different frames with --frames, for example 0::2 and 1::2"
                 )
             fused_in[frame.frame] = folder
-    lows, highs = zip(*(record.bounds_m for record in records), strict=True)
-    seconds = {name: sum(getattr(record.seconds, name) for record in records) for name in Seconds.model_fields}
-    frames = sum(record.frames for record in records)
-    depths = [math.inf if record.depth_max_m is None else record.depth_max_m for record in records]
-    changed = {
-        "dataset": relative_to(out, dataset),
-        "frames": frames,
-        "trajectory": sorted((f for record in records for f in record.trajectory), key=lambda fused: fused.frame),
-        "bounds_m": (np.min(lows, axis=0).tolist(), np.max(highs, axis=0).tolist()),
-        "seconds": Seconds(**seconds),
-        "frames_per_second": frames / seconds["integrate"],
-        "metrics": None,
-        "depth_max_m": max(depths) if math.isfinite(max(depths)) else None,
-        "config": {"merged": [record.config for record in records]},
-        "versions": installed_versions(),
-    }
-    return first.model_copy(update=changed)
 
 
 def _require_new(out: Path, folders: Sequence[Path]) -> None:
@@ -137,6 +151,7 @@ def _mesh(volume: Volume, found: str) -> Mesh:
 def _sizes(volume: Volume, mesh: Mesh) -> dict[str, Any]:
     return {
         "blocks": volume.table.count,
+        "voxels_observed": count_observed(volume),
         "vertices": len(mesh.vertices),
         "triangles": len(mesh.triangles),
         "peak_memory_mb": peak_memory_mb(),

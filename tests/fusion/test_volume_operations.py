@@ -4,13 +4,10 @@ from analytic_volume import analytic_volume, sphere, voxel_centres
 from synthetic_scene import CAMERA, SphereScene
 
 from datagen.errors import InputError
-from fusion.depth_tiles import depth_tiles
-from fusion.find_blocks import find_blocks
 from fusion.frame_batch import FrameUploader
-from fusion.integrate import integrate_frames
+from fusion.fuse_batch import find_batch_blocks, integrate_batch
 from fusion.integration import Integration
 from fusion.marching_cubes import marching_cubes
-from fusion.visible_blocks import visible_blocks
 from fusion.volume import Volume
 from fusion.volume_operations import crop, merge, to_storage
 
@@ -25,10 +22,9 @@ def fused(frames, device, *, storage="full", blocks_of=None):
         batch = FrameUploader(CAMERA, device=device)(
             [f.depth for f in chosen], [f.world_from_camera for f in chosen], [f.color for f in chosen]
         )
-        tiles = depth_tiles(batch, split_beyond=2 * TRUNCATION)
-        find_blocks(volume.table, batch, tiles, truncation=TRUNCATION, voxel_size=VOXEL_SIZE)
+        find_batch_blocks(volume.table, batch, truncation=TRUNCATION, voxel_size=VOXEL_SIZE)
     volume.reserve(volume.table.count)
-    integrate_frames(volume, batch, visible_blocks(volume, batch, tiles), Integration())
+    integrate_batch(volume, batch, Integration())
     return volume
 
 
