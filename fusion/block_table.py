@@ -217,6 +217,11 @@ class BlockTable:
             raise BlockLimitError(f"the volume needs more than the {self.max_blocks:,} blocks that memory allows")
         self._rebuild(self.blocks, 2 * self.capacity)
 
+    def drop_unnumbered(self) -> None:
+        """Forget blocks that were entered where there was no room to number them, so that they can enter again."""
+        self.read_count()
+        self._rebuild(self.blocks, self.capacity)
+
     def _rebuild(self, blocks: wp.array, capacity: int) -> None:
         """Enter the first ``count`` of ``blocks`` into an empty hash, numbered in their order."""
         self.arrays = self._empty(capacity)

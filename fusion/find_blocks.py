@@ -232,7 +232,7 @@ def _enter_blocks(
             span = range_of_tiles(ranges, frame, u, v, size)
             whole = span[1] == 0.0 or (span[1] - span[0] <= truncation and float(size) * span[1] <= widest)
             if not whole:
-                size = size / 2
+                size = size >> 1
         request = Request()
         if whole:
             if span[1] > 0.0:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -38,28 +39,50 @@ class FrameBatch:
         return int(self.camera_from_world.shape[0])
 
 
-class FrameUploader:
-    """Copies frames of one camera to a device, into the same buffers each time.
+class _Buffers:
+    """Room for a batch on the host and on the device, which on the CPU are the same.
 
-    With a ``depth_scale``, metres a step, depth images are uint16, half the memory to read; without, float32 metres.
+    On CUDA ``copied`` is the event after the upload, ``released`` the one after the last kernel that reads the batch.
+    """
+
+    def __init__(self, camera: PinholeCamera, capacity: int, depth_type: type, device: Device) -> None:
+        shape = (capacity, camera.height, camera.width)
+        pinned = device.is_cuda
+        self.host = (
+            wp.empty(shape, dtype=depth_type, device="cpu", pinned=pinned),
+            wp.empty(capacity, dtype=wp.mat44d, device="cpu", pinned=pinned),
+            wp.empty(shape, dtype=wp.uint32, device="cpu", pinned=pinned),
+        )
+        self.on_device = tuple(wp.empty_like(array, device=device) for array in self.host) if pinned else self.host
+        self.copied: Any = None
+        self.released: Any = None
+
+
+class FrameUploader:
+    """Copies frames of one camera to a device, into a few sets of buffers in turn.
+
+    With a ``depth_scale``, metres a step, depth images are uint16, half the memory to read; without, float32 metres, of
+    which those that are not finite become 0. On CUDA the copies run beside the kernels of the batch before.
     """
 
     def __init__(
-        self, camera: PinholeCamera, *, device: Device, capacity: int = MAX_BATCH, depth_scale: float | None = None
+        self,
+        camera: PinholeCamera,
+        *,
+        device: Device,
+        capacity: int = MAX_BATCH,
+        depth_scale: float | None = None,
+        turns: int = 2,
     ) -> None:
         assert 1 <= capacity <= MAX_BATCH, f"a batch holds 1 to {MAX_BATCH} frames"
         self.camera = camera
         self.device = device
         self.depth_scale = 1.0 if depth_scale is None else depth_scale
-        shape = (capacity, camera.height, camera.width)
         depth_type = wp.float32 if depth_scale is None else wp.uint16
-        self._host_depth = wp.empty(shape, dtype=depth_type, device="cpu", pinned=device.is_cuda)
-        self._host_color = wp.empty(shape, dtype=wp.uint32, device="cpu", pinned=device.is_cuda)
-        self._host_poses = wp.empty(capacity, dtype=wp.mat44d, device="cpu", pinned=device.is_cuda)
-        # On the CPU the kernels read the host buffers themselves.
-        self._poses = wp.empty_like(self._host_poses, device=device) if device.is_cuda else self._host_poses
-        self._depth = wp.empty_like(self._host_depth, device=device) if device.is_cuda else self._host_depth
-        self._color = wp.empty_like(self._host_color, device=device) if device.is_cuda else self._host_color
+        # The CPU's kernels are done when their launch returns: it needs no second set.
+        sets = turns if device.is_cuda else 1
+        self._turns = [_Buffers(camera, capacity, depth_type, device) for _ in range(sets)]
+        self._copy_stream = wp.Stream(device) if device.is_cuda else None
 
     def __call__(
         self,
@@ -72,31 +95,55 @@ class FrameUploader:
         ``depths`` are (height, width) planar, metres or steps, ``poses`` world_from_camera 4×4, ``colors``
         (height, width, 3) RGB.
         """
-        count = len(depths)
-        depth_rows, color_rows, pose_rows = (
-            host.numpy() for host in (self._host_depth, self._host_color, self._host_poses)
-        )
-
-        def copy(i: int) -> None:
-            np.copyto(depth_rows[i], depths[i], casting="no")
-            if colors is not None:
-                height, width = colors[i].shape[:2]
-                rgba = color_rows[i].view(np.uint8).reshape(height, width, 4)
-                cv2.cvtColor(colors[i], cv2.COLOR_RGB2RGBA, dst=rgba)
-
-        map_on_cores(copy, range(count))
-        pose_rows[:count] = [inverse(pose) for pose in poses]
         if self.device.is_cuda:
-            wp.copy(self._poses, self._host_poses)
-            wp.copy(self._depth, self._host_depth)
-            if colors is not None:
-                wp.copy(self._color, self._host_color)
-            # The next call fills the host buffers anew.
-            wp.synchronize_device(self.device)
+            # All that reads the batch before was launched by now.
+            self._turns[-1].released = wp.get_stream(self.device).record_event()
+        buffers = self._turns.pop(0)
+        self._turns.append(buffers)
+        if buffers.copied is not None:
+            wp.synchronize_event(buffers.copied)
+        _fill(buffers, depths, poses, colors)
+        if self.device.is_cuda:
+            self._copy(buffers, with_color=colors is not None)
+        count = len(depths)
+        depth, camera_from_world, color = (array[:count] for array in buffers.on_device)
         return FrameBatch(
             camera=self.camera,
-            depth=self._depth[:count],
+            depth=depth,
             depth_scale=self.depth_scale,
-            color=None if colors is None else self._color[:count],
-            camera_from_world=self._poses[:count],
+            color=None if colors is None else color,
+            camera_from_world=camera_from_world,
         )
+
+    def _copy(self, buffers: _Buffers, *, with_color: bool) -> None:
+        """Copy to the device, once it has read what is there, and let the kernels to come wait for it."""
+        stream = self._copy_stream
+        assert stream is not None, "only CUDA has a stream for copies"
+        if buffers.released is not None:
+            stream.wait_event(buffers.released)
+        for target, source in zip(buffers.on_device[: 3 if with_color else 2], buffers.host, strict=False):
+            wp.copy(target, source, stream=stream)
+        buffers.copied = stream.record_event()
+        wp.get_stream(self.device).wait_event(buffers.copied)
+
+
+def _fill(
+    buffers: _Buffers,
+    depths: Sequence[NDArray[np.float32]] | Sequence[NDArray[np.uint16]],
+    poses: Sequence[Matrix],
+    colors: Sequence[NDArray[np.uint8]] | None,
+) -> None:
+    """Put frames into the host's buffers, on all cores."""
+    depth_rows, pose_rows, color_rows = (array.numpy() for array in buffers.host)
+
+    def copy(i: int) -> None:
+        np.copyto(depth_rows[i], depths[i], casting="no")
+        if depth_rows.dtype == np.float32:
+            depth_rows[i][~np.isfinite(depth_rows[i])] = 0
+        if colors is not None:
+            height, width = colors[i].shape[:2]
+            rgba = color_rows[i].view(np.uint8).reshape(height, width, 4)
+            cv2.cvtColor(colors[i], cv2.COLOR_RGB2RGBA, dst=rgba)
+
+    map_on_cores(copy, range(len(depths)))
+    pose_rows[: len(poses)] = [inverse(pose) for pose in poses]

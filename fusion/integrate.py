@@ -202,7 +202,7 @@ def kernel(depth_type: type, *, on_cuda: bool, bilinear: bool, weighted: bool, d
         pixel_from_lattice: wp.array(dtype=wp.mat44),
         rules: Rules,
         voxels: Voxels,
-    ):
+    ) -> None:
         y = row & 7
         z = row >> 3
         mask = masks[number, (y >> 2) + 2 * (z >> 2)]

@@ -19,17 +19,24 @@ class Volume:
     Voxel i's centre lies at i · ``voxel_size`` (metres, world frame). A voxel of block b, at (x, y, z) within it, has
     the index 512·b + 64·z + 8·y + x in the arrays of ``voxels``, which hold weighted sums in the form ``storage``. Sums
     and not averages, so that merging volumes is addition and removing a frame is subtraction. A voxel of weight 0 is
-    unseen; its average is +1 and black.
+    unseen; its average is +1 and black. ``capacity`` is the block table's first (a power of two).
     """
 
     def __init__(
-        self, *, voxel_size: float, truncation: float, device: Device, max_blocks: int, storage: Storage = "full"
+        self,
+        *,
+        voxel_size: float,
+        truncation: float,
+        device: Device,
+        max_blocks: int,
+        storage: Storage = "full",
+        capacity: int = 1 << 14,
     ) -> None:
         self.voxel_size = voxel_size
         self.truncation = truncation
         self.device = device
         self.storage = storage
-        self.table = BlockTable(device=device, max_blocks=max_blocks)
+        self.table = BlockTable(device=device, max_blocks=max_blocks, capacity=capacity)
         self.voxels = self._zeros(0)
 
     def arrays(self) -> dict[str, wp.array]:
