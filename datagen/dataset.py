@@ -58,13 +58,14 @@ class Dataset:
 
     def depth(self, frame_id: int) -> NDArray[np.float32]:
         """Return planar depth (height, width) in metres, 0 = invalid, of a frame."""
-        return read_depth(self._depth_file(frame_id), size=self._size, metres_per_step=self.depth_scale)
+        return read_depth(self.depth_file(frame_id), size=self._size, metres_per_step=self.depth_scale)
 
     def depth_steps(self, frame_id: int) -> NDArray[np.uint16]:
         """Return planar depth (height, width) in steps of ``depth_scale`` metres, 0 = invalid, of a frame."""
-        return read_depth_steps(self._depth_file(frame_id), size=self._size)
+        return read_depth_steps(self.depth_file(frame_id), size=self._size)
 
-    def _depth_file(self, frame_id: int) -> Path:
+    def depth_file(self, frame_id: int) -> Path:
+        """Return the file of a frame's depth image."""
         return frame_file(self.frames_folder, frame_id, DEPTH_PART)
 
     def world_from_camera(self, frame_id: int) -> Matrix:

@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 
 from datagen.dataset import Dataset
 from datagen.errors import InputError
+from datagen.images import DEPTH_INVALID_MAX
 from datagen.rigid import Matrix
+from fusion import depth_png
 from fusion.frame_batch import MAX_BATCH
 from fusion.survey import FrameSurvey, survey_frame
 
@@ -60,9 +62,10 @@ class FrameSource:
         self.surveys: dict[int, FrameSurvey] = {}
         self.decoding_seconds = 0.0
         self.waiting_seconds = 0.0
-        self._last_step = np.iinfo(np.uint16).max
+        self._last_step = DEPTH_INVALID_MAX - 1
         if depth_max is not None:
             self._last_step = min(self._last_step, int(depth_max / dataset.depth_scale))
+        depth_png.load()
         self._cache_room = CACHE_BYTES // (2 * dataset.camera.width * dataset.camera.height)
         self._cache: dict[int, Depth] = {}
         self._lock = threading.Lock()
@@ -119,7 +122,7 @@ class FrameSource:
     def _depth(self, frame_id: int) -> Depth:
         if frame_id in self._cache:
             return self._cache[frame_id]
-        depth = self.dataset.depth_steps(frame_id)
+        depth = _read_depth(self.dataset, frame_id)
         depth[depth > self._last_step] = 0
         if frame_id not in self.surveys:
             self.surveys[frame_id] = survey_frame(
@@ -128,6 +131,16 @@ class FrameSource:
         if len(self._cache) < self._cache_room:
             self._cache[frame_id] = depth
         return depth
+
+
+def _read_depth(dataset: Dataset, frame_id: int) -> Depth:
+    """Read depth; DEPTH_INVALID_MAX may be among it."""
+    try:
+        data = dataset.depth_file(frame_id).read_bytes()
+    except OSError:
+        return dataset.depth_steps(frame_id)
+    depth = depth_png.decode_depth(data, size=(dataset.camera.width, dataset.camera.height))
+    return dataset.depth_steps(frame_id) if depth is None else depth
 
 
 def _near_pose(dataset: Dataset, frame_id: int) -> Matrix:
