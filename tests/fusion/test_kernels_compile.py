@@ -1,13 +1,17 @@
 """Every kernel compiles for NVIDIA GPUs, whether or not there is one: NVRTC needs no driver."""
 
 import importlib
+import itertools
 import pkgutil
 
 import pytest
 import warp as wp
 
 import fusion
+from fusion import color_confidence, depth_tiles, integrate, pixel_weights
 from fusion.devices import resolve_device
+
+ARCHITECTURES = [75, 80, 90]
 
 
 def kernel_modules():
@@ -17,12 +21,35 @@ def kernel_modules():
     return [m for m in modules if any(isinstance(value, wp.Kernel) for value in vars(m).values())]
 
 
+def kernels_made_to_measure():
+    """Yield those that are made for a type of depth and for options."""
+    for depth_type in (wp.uint16, wp.float32):
+        for stage in (color_confidence, depth_tiles, pixel_weights):
+            yield pytest.param(stage.kernel(depth_type), id=f"{stage.__name__}-{depth_type.__name__}")
+        for bilinear, weighted, drop_off in itertools.product((False, True), repeat=3):
+            options = {"bilinear": bilinear, "weighted": weighted, "drop_off": drop_off}
+            asked = "-".join(name for name, value in options.items() if value)
+            kernel = integrate.kernel(depth_type, on_cuda=True, **options)
+            yield pytest.param(kernel, id=f"fusion.integrate-{depth_type.__name__}-{asked or 'paper'}")
+
+
+def compile_for(module, architecture, folder):
+    wp.compile_aot_module(module, arch=architecture, use_ptx=True, module_dir=str(folder))
+    assert any(path.suffix == ".ptx" for path in folder.rglob("*"))
+
+
 def test_there_are_kernels_to_compile():
-    assert {"fusion.integrate", "fusion.find_blocks", "fusion.marching_cubes"} <= {m.__name__ for m in kernel_modules()}
+    found = {module.__name__ for module in kernel_modules()}
+    assert {"fusion.block_table", "fusion.find_blocks", "fusion.visible_blocks", "fusion.marching_cubes"} <= found
 
 
 @pytest.mark.parametrize("module", kernel_modules(), ids=lambda module: module.__name__)
-@pytest.mark.parametrize("architecture", [75, 80, 90])
+@pytest.mark.parametrize("architecture", ARCHITECTURES)
 def test_kernels_compile_for_cuda(module, architecture, tmp_path):
-    wp.compile_aot_module(module, arch=architecture, use_ptx=True, module_dir=str(tmp_path))
-    assert any(path.suffix == ".ptx" for path in tmp_path.rglob("*"))
+    compile_for(module, architecture, tmp_path)
+
+
+@pytest.mark.parametrize("kernel", list(kernels_made_to_measure()))
+@pytest.mark.parametrize("architecture", ARCHITECTURES)
+def test_kernels_made_to_measure_compile_for_cuda(kernel, architecture, tmp_path):
+    compile_for(kernel.module, architecture, tmp_path)
