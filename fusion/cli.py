@@ -5,7 +5,7 @@ import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from rich.console import Console
 from rich.table import Table
@@ -16,12 +16,14 @@ from datagen.open_dataset import open_dataset
 from datagen.progress import on_terminal
 from fusion.devices import resolve_device
 from fusion.evaluate import Observers, evaluate
+from fusion.integration import DepthSampling, Integration, Weighting
 from fusion.locate import locate
 from fusion.mesh import read_mesh
 from fusion.reconstruct import reconstruct
 from fusion.reconstruction_config import ReconstructionConfig, check_length
 from fusion.reconstruction_files import RECORD_FILE, LocatedPose, ReconstructionRecord, poses_as_json, read_record
 from fusion.volume_cli import add_volume_commands
+from fusion.voxels import Storage
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -48,6 +50,7 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("--voxel-size", type=float, metavar="M", help="metres; from the data if not given")
     command.add_argument("--truncation", type=float, metavar="M", help="metres; 4 voxels if not given")
     command.add_argument("--depth-max", type=float, metavar="M", help="take farther depths as invalid")
+    _add_integration(command)
     _add_shared(command)
     command.set_defaults(run=_reconstruct)
 
@@ -75,6 +78,33 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _add_integration(command: argparse.ArgumentParser) -> None:
+    defaults = ReconstructionConfig()
+    command.add_argument(
+        "--depth-sampling",
+        choices=get_args(DepthSampling),
+        default=defaults.integration.depth_sampling,
+        help="the pixel nearest to a voxel, or between four where they are of one surface (default: %(default)s)",
+    )
+    command.add_argument(
+        "--weighting",
+        choices=get_args(Weighting),
+        default=defaults.integration.weighting,
+        help="how much a pixel counts, by its depth or by the angle at which it sees (default: %(default)s)",
+    )
+    command.add_argument("--drop-off", action="store_true", help="let the weight fall to nothing behind the surface")
+    command.add_argument("--weight-cap", type=float, metavar="W", help="the most a voxel's past counts, in frames")
+    command.add_argument(
+        "--min-weight", type=float, default=defaults.min_weight, metavar="W", help="mesh only what was seen more often"
+    )
+    command.add_argument(
+        "--storage",
+        choices=get_args(Storage),
+        default=defaults.storage,
+        help="8 bytes a voxel, rounded, or 24, exact (default: %(default)s)",
+    )
+
+
 def _add_shared(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--frames",
@@ -92,6 +122,14 @@ def _reconstruct(options: argparse.Namespace) -> None:
         depth_max=options.depth_max,
         frames=options.frames,
         device=options.device,
+        storage=options.storage,
+        min_weight=options.min_weight,
+        integration=Integration(
+            depth_sampling=options.depth_sampling,
+            weighting=options.weighting,
+            drop_off=options.drop_off,
+            weight_cap=options.weight_cap,
+        ),
     )
     dataset = open_dataset(options.dataset)
     with on_terminal() as progress:

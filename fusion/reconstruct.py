@@ -78,7 +78,7 @@ def reconstruct(
             progress=progress,
         )
     clock.seconds |= {"decode": source.decoding_seconds, "waiting": source.waiting_seconds}
-    mesh = _mesh(fused.volume, dataset, clock, progress)
+    mesh = _mesh(fused.volume, dataset, config, clock, progress)
     metrics = None
     if ground_truth is not None:
         with clock("evaluate"):
@@ -100,10 +100,12 @@ def _survey(source: FrameSource, progress: ProgressReporter) -> SceneSurvey:
     return combine(list(source.surveys.values()), source.dataset.camera)
 
 
-def _mesh(volume: Volume, dataset: Dataset, clock: Stopwatch, progress: ProgressReporter) -> Mesh:
+def _mesh(
+    volume: Volume, dataset: Dataset, config: ReconstructionConfig, clock: Stopwatch, progress: ProgressReporter
+) -> Mesh:
     advance = progress("mesh", 1)
     with clock("mesh"):
-        mesh = marching_cubes(volume)
+        mesh = marching_cubes(volume, min_weight=config.min_weight)
     advance()
     if len(mesh.triangles) == 0:
         raise InputError(

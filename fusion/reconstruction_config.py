@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from datagen.errors import InputError
 from fusion.integration import Integration
 from fusion.survey import SceneSurvey
-from fusion.voxels import Storage
+from fusion.voxels import BYTES_PER_VOXEL, Storage
 
 VOXELS_PER_TRUNCATION = 4
 MOST_VOXELS_PER_TRUNCATION = 64
@@ -21,7 +21,8 @@ class ReconstructionConfig:
 
     ``voxel_size``, ``truncation`` and ``depth_max`` are metres; ``frames`` is START:STOP:STEP; ``device`` auto, cpu or
     cuda[:N]; ``storage`` the form of the volume (``fusion.voxels``); ``integration`` how frames are sampled and
-    weighed. Raises InputError for a length that is not from a micrometre to ten kilometres.
+    weighed; only voxels with more than ``min_weight`` are meshed. Raises InputError for a length that is not from a
+    micrometre to ten kilometres, and for options that there are not.
     """
 
     voxel_size: float | None = None
@@ -30,10 +31,15 @@ class ReconstructionConfig:
     frames: str | None = None
     device: str = "auto"
     storage: Storage = "packed"
+    min_weight: float = 0.0
     integration: Integration = field(default_factory=Integration)
 
     def __post_init__(self) -> None:
         """Refuse lengths that make no volume."""
+        if not 0 <= self.min_weight < float("inf"):
+            raise InputError(f"--min-weight {self.min_weight:g}: expected 0 or more, the weight of so many frames")
+        if self.storage not in BYTES_PER_VOXEL:
+            raise InputError(f"--storage {self.storage}: expected one of {', '.join(BYTES_PER_VOXEL)}")
         for name in ("voxel_size", "truncation", "depth_max"):
             value = getattr(self, name)
             if value is not None:
