@@ -12,15 +12,20 @@ from datagen.errors import InputError
 DEPTH_INVALID_MAX = 65535
 """Kinect recordings mark a missing return with the largest value; 0 marks it everywhere."""
 
+# OpenCV 4.10 cannot. Where it can, decoding is all that has to be done, and its threads are not called for the rest.
+_READ_RGB = getattr(cv2, "IMREAD_COLOR_RGB", None)
+
 
 def read_color(path: Path, *, size: tuple[int, int]) -> NDArray[np.uint8]:
     """Return a colour image (height, width, 3), RGB, uint8.
 
     Raises InputError where the file is missing, damaged, or not of ``size`` (width, height).
     """
-    image = _decode(path, cv2.IMREAD_COLOR)
+    image = _decode(path, _READ_RGB or cv2.IMREAD_COLOR)
     _check_size(path, image, size)
-    return cv2.cvtColor(image, cv2.COLOR_BGR2RGB).astype(np.uint8, copy=False)
+    if _READ_RGB is None:
+        image = cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+    return image.astype(np.uint8, copy=False)
 
 
 def read_depth_steps(path: Path, *, size: tuple[int, int]) -> NDArray[np.uint16]:

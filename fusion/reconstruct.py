@@ -1,6 +1,7 @@
 """From a dataset to a coloured mesh: the pipeline of the paper's section IV, stage by stage."""
 
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -140,10 +141,14 @@ def _write_arrays(folder: Path, mesh: Mesh, volume: Volume, progress: ProgressRe
     advance = progress("write", 2)
     for older in (RECORD_FILE, POSES_FILE):
         (folder / older).unlink(missing_ok=True)
-    write_ply(folder / MESH_FILE, mesh)
-    advance()
-    save_volume(folder / VOLUME_FILE, volume)
-    advance()
+    with ThreadPoolExecutor(thread_name_prefix="write") as pool:
+        writing = [
+            pool.submit(write_ply, folder / MESH_FILE, mesh),
+            pool.submit(save_volume, folder / VOLUME_FILE, volume),
+        ]
+        for written in writing:
+            written.result()
+            advance()
 
 
 def _record(

@@ -92,7 +92,7 @@ def combine(surveys: Sequence[FrameSurvey], camera: PinholeCamera) -> SceneSurve
 
 
 def _over_tiles(largest_or_smallest: np.ufunc, image: NDArray[np.uint16]) -> NDArray[np.uint16]:
-    """Return the largest or the smallest of each 8×8 tile; at the right and the bottom tiles may be cut."""
+    """Return the largest or the smallest of each tile; at the right and the bottom tiles may be cut."""
     height, width = image.shape
     if height % _TILE or width % _TILE:
         image = np.pad(image, ((0, -height % _TILE), (0, -width % _TILE)), mode="edge")

@@ -4,14 +4,12 @@ import warp as wp
 
 from fusion.block_table import BLOCK_VOXELS
 from fusion.devices import launch_in_slabs
-from fusion.visible_blocks import QUARTERS
 from fusion.volume import Volume
 from fusion.voxels import Voxels, weight_of
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 _BLOCK_VOXELS = wp.constant(BLOCK_VOXELS)
-_QUARTERS = wp.constant(QUARTERS)
 
 
 @wp.func_native("""
@@ -29,10 +27,11 @@ def bit_count(bits: wp.uint32) -> int:
 def _count_frames(masks: wp.array2d(dtype=wp.uint32), total: wp.array(dtype=wp.int64)) -> None:
     block = wp.tid()
     count = int(0)
-    for quarter in range(_QUARTERS):
-        count += bit_count(masks[block, quarter])
+    parts = masks.shape[1]
+    for part in range(parts):
+        count += bit_count(masks[block, part])
     if count > 0:
-        wp.atomic_add(total, 0, wp.int64(count))
+        wp.atomic_add(total, 0, wp.int64(count * (_BLOCK_VOXELS / parts)))
 
 
 @wp.kernel
@@ -52,14 +51,14 @@ class UpdateCounter:
         self._total = wp.zeros(1, dtype=wp.int64, device=volume.device)
 
     def add(self, masks: wp.array) -> None:
-        """Count the quarters of blocks that a batch's frame masks (blocks, 4) mark, once a frame."""
+        """Count the voxels that a batch's frame masks (blocks, parts of a block) mark, once a frame."""
         # One launch, not slabs: on the CPU that is one thread, so the sum needs no atomics there.
         wp.launch(_count_frames, dim=masks.shape[0], inputs=[masks], outputs=[self._total], device=masks.device)
 
     @property
     def updates(self) -> int:
         """How many voxels were gone through so far, once a frame."""
-        return int(self._total.numpy()[0]) * BLOCK_VOXELS // QUARTERS
+        return int(self._total.numpy()[0])
 
 
 def count_observed(volume: Volume) -> int:

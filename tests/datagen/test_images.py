@@ -15,6 +15,26 @@ def test_colour_survives_the_disk(tmp_path):
     np.testing.assert_array_equal(read_color(tmp_path / "c.png", size=SIZE), color)
 
 
+@pytest.mark.parametrize(
+    ("suffix", "shape", "dtype"),
+    [
+        ("png", (6, 8), np.uint8),
+        ("png", (6, 8, 4), np.uint8),
+        ("png", (6, 8, 3), np.uint16),
+        ("jpg", (6, 8), np.uint8),
+        ("jpg", (6, 8, 3), np.uint8),
+    ],
+)
+def test_colour_of_any_form_comes_as_rgb_of_eight_bits(tmp_path, suffix, shape, dtype, monkeypatch):
+    image = np.random.default_rng(0).integers(0, np.iinfo(dtype).max, shape).astype(dtype)
+    path = tmp_path / f"c.{suffix}"
+    cv2.imwrite(str(path), image)
+    color = read_color(path, size=SIZE)
+    assert (color.shape, color.dtype) == ((6, 8, 3), np.uint8)
+    monkeypatch.setattr("datagen.images._READ_RGB", None)
+    np.testing.assert_array_equal(color, read_color(path, size=SIZE))
+
+
 def test_depth_survives_the_disk_within_half_a_step_and_holes_stay_holes(tmp_path):
     depth = np.random.default_rng(0).uniform(0.2, 6.5, (6, 8)).astype(np.float32)
     depth[0, :3] = 0
