@@ -218,8 +218,11 @@ def _print_record(record: ReconstructionRecord, config: ReconstructionConfig, fo
         "voxel size": f"{record.voxel_size_m:g} m{voxel_origin}",
         "truncation": f"{record.truncation_m:g} m{truncation_origin}",
         "bounds": " × ".join(f"{side:.2f}" for side in size) + f" m, {record.blocks:,} blocks",
-        "fused": f"{record.frames} frames on {record.device} at {record.frames_per_second:.0f} frames/s",
-        "seconds": ", ".join(f"{name} {seconds:.2f}" for name, seconds in record.seconds),
+        "fused": f"{record.frames} frames on {record.device} at {record.frames_per_second:.0f} frames/s, "
+        f"{record.frames_per_second_with_decoding:.0f} with decoding",
+        "voxels": f"{record.voxels_observed:,} observed, {record.voxel_updates:,} updates",
+        "seconds": ", ".join(f"{name} {seconds:.2f}" for name, seconds in record.seconds if name != "decode")
+        + f"; beside these, threads decoded for {record.seconds.decode:.2f}",
         "mesh": f"{record.vertices:,} vertices, {record.triangles:,} triangles",
         "peak memory": f"{record.peak_memory_mb:.0f} MiB",
         "written": str(folder),
