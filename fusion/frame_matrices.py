@@ -12,7 +12,7 @@ LANES = 8
 """``views`` has columns for a multiple of this many frames."""
 
 _HALF_BLOCK = wp.constant(wp.vec3(3.5, 3.5, 3.5))
-_HALF_QUARTER = wp.constant(wp.vec3(3.5, 1.5, 1.5))
+_HALF_PART = wp.constant(wp.vec3(3.5, 1.5, 1.5))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,7 +21,7 @@ class FrameMatrices:
 
     ``world_from_camera`` (frames,) mat44; ``pixel_from_lattice`` (frames,) mat44 to (u·z, v·z, z, 1); ``views``
     (18, frames rounded up), a column a frame: the 3×4 matrix camera_from_lattice row by row, then how far the box
-    around a block's voxel centres reaches along the camera's axes, then that around a quarter's, metres.
+    around a block's voxel centres reaches along the camera's axes, then that around a part's, metres.
     """
 
     world_from_camera: wp.array
@@ -72,7 +72,7 @@ def _fill_in(
     for row in range(3):
         axis = wp.vec3(float(lattice[row, 0]), float(lattice[row, 1]), float(lattice[row, 2]))
         views[12 + row, frame] = reach(axis, _HALF_BLOCK)
-        views[15 + row, frame] = reach(axis, _HALF_QUARTER)
+        views[15 + row, frame] = reach(axis, _HALF_PART)
 
 
 def frame_matrices(batch: FrameBatch, voxel_size: float) -> FrameMatrices:

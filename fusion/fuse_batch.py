@@ -52,7 +52,7 @@ def find_batch_blocks(
 def integrate_batch(volume: Volume, batch: FrameBatch, options: Integration, *, remove: bool = False) -> wp.array:
     """Add a batch of frames to the blocks that they see, or take it away.
 
-    Returns the frame masks (blocks, 4) of ``visible_blocks``: which quarters of which blocks were gone through.
+    Returns the frame masks (blocks, 4) of ``visible_blocks``: which parts of which blocks were gone through.
     """
     tiles = depth_tiles.depth_tiles(batch, split_beyond=2 * volume.truncation)
     color_confidence.lower_confidence_at_edges(batch, step=volume.truncation)

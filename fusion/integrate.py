@@ -5,7 +5,7 @@ truncation nothing was seen, and the −1 of equation (2) would claim solid spac
 Colour is taken where |d| ≤ t, near the surface that shows it. Each frame's weight w_new is 1, or what ``Weighting``
 says.
 
-Rows of eight voxels along x are taken through all frames of the batch that see their quarter of the block; the sums
+Rows of eight voxels along x are taken through all frames of the batch that see their part of the block; the sums
 stay in registers, so a voxel is read and written once a batch however many frames see it. Along the row the projection
 moves by a constant step. The row is written in C++, the same for CPU and CUDA, because its plain loops over eight lanes
 become vector instructions on the CPU, which Warp's scalar code does not: it takes half the time.
@@ -20,10 +20,12 @@ from fusion.devices import Device, Kernel, launch_in_slabs
 from fusion.frame_batch import FrameBatch
 from fusion.frame_matrices import FrameMatrices
 from fusion.integration import Integration
+from fusion.visible_blocks import PARTS
 from fusion.volume import Volume
 from fusion.voxels import PACKING_IN_CPP, Voxels
 
 _ROWS = wp.constant(BLOCK_SIDE * BLOCK_SIDE)
+_PARTS = wp.constant(PARTS)
 
 # Names as in the paper: d by (1), t_d by (2); (3) to (5) are sums here, and averages where the volume is read. Lanes
 # without a valid pixel read pixel 0 and are masked. `left` runs through the mask's bits, the frames. BILINEAR,
@@ -236,7 +238,9 @@ def kernel(depth_type: type, *, on_cuda: bool, bilinear: bool, weighted: bool, d
         voxels: Voxels,
     ) -> None:
         number = wp.tid() + first
-        any_frame = masks[number, 0] | masks[number, 1] | masks[number, 2] | masks[number, 3]
+        any_frame = wp.uint32(0)
+        for part in range(_PARTS):
+            any_frame = any_frame | masks[number, part]
         if any_frame == wp.uint32(0):
             return
         block = blocks[number]

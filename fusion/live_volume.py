@@ -59,8 +59,9 @@ def _sum_up(
 @wp.kernel
 def _note_changes(masks: wp.array2d(dtype=wp.uint32), changed: wp.array(dtype=wp.uint8)) -> None:
     number = wp.tid()
-    if (masks[number, 0] | masks[number, 1] | masks[number, 2] | masks[number, 3]) != wp.uint32(0):
-        changed[number] = wp.uint8(1)
+    for part in range(masks.shape[1]):
+        if masks[number, part] != wp.uint32(0):
+            changed[number] = wp.uint8(1)
 
 
 @dataclass(kw_only=True)

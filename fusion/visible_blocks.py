@@ -4,8 +4,8 @@ A frame says nothing about a part that lies outside its view, that is hidden by 
 it sees there, or where it has no valid depth. Only such parts are passed over: leaving them out changes no voxel. Space
 that a frame sees through is not passed over, so that what one frame put there by mistake is outvoted by the others.
 
-A block is tested whole, then by quarters of 8×4×4 voxels. A test is one look into a table: for every tile, the farthest
-depth within so many tiles around it.
+A block is tested whole, then by parts of 8×4×4 voxels. A test takes a few looks into a table of the farthest depths in
+squares of tiles, which cover what the part's box may project to.
 """
 
 import warp as wp
@@ -13,28 +13,30 @@ import warp as wp
 from fusion.block_table import BlockTable
 from fusion.depth_tiles import TILE, DepthTiles
 from fusion.devices import launch_in_slabs
-from fusion.farthest_depths import RADII_IN_CPP, farthest_depths
+from fusion.farthest_depths import farthest_depths
 from fusion.frame_batch import FrameBatch
 from fusion.frame_matrices import FrameMatrices
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-QUARTERS = 4
-"""Quarter q of a block holds the rows with y // 4 = q & 1 and z // 4 = q >> 1."""
+PARTS = 4
+"""Part p of a block holds the rows of voxels with y // 4 = p & 1 and z // 4 = p >> 1; smaller ones gain nothing."""
+
+_PARTS = wp.constant(PARTS)
 
 # `views` (FrameMatrices) has a column for each frame, so that lanes are frames. A lane's bit is set where the frame may
 # see the box.
 _MARK_IN_CPP = """
     constexpr int LANES = 8;
-    constexpr int LEVELS = sizeof(RADII) / sizeof(int);
-    const int columns = farthest.shape[3], rows = farthest.shape[2], frames = farthest.shape[0];
+    const int columns = farthest.shape[3], rows = farthest.shape[2], levels = farthest.shape[1];
+    const int frames = farthest.shape[0];
     const int stride = views.shape[1];
     const float wide = (float)width, high = (float)height;
     auto see = [&](float x, float y, float z, int first, int reach_row, unsigned int asked) -> unsigned int {
         const float *m = views.data + first;
         const float *reach = m + (size_t)reach_row * stride;
-        float nearest[LANES], u[LANES], v[LANES], radius[LANES];
-        int inside[LANES];
+        float nearest[LANES], left[LANES], right[LANES], top[LANES], bottom[LANES];
+        int inside[LANES], close[LANES];
         for (int i = 0; i < LANES; ++i) {
             auto along = [&](int axis) {
                 const float *row = m + 4 * axis * stride + i;
@@ -43,51 +45,66 @@ _MARK_IN_CPP = """
             const float cx = along(0), cy = along(1), cz = along(2);
             const float hx = reach[i], hy = reach[stride + i], hz = reach[2 * stride + i];
             nearest[i] = cz - hz;
+            close[i] = nearest[i] <= 0.1f * hz;
             // |x/z - x0/z0| <= (hx + hz |x0/z0|) / (z0 - hz) for every point of the box.
-            const float inverse = 1.0f / cz, slope = 1.0f / (nearest[i] > 1e-6f ? nearest[i] : 1e-6f);
+            const float inverse = 1.0f / cz, slope = 1.0f / (close[i] ? 1.0f : nearest[i]);
             const float px = cx * inverse, py = cy * inverse;
+            // Bilinear sampling reaches a pixel farther.
             const float reach_u = fx * (hx + hz * (px < 0.0f ? -px : px)) * slope + 1.0f;
             const float reach_v = fy * (hy + hz * (py < 0.0f ? -py : py)) * slope + 1.0f;
-            u[i] = fx * px + center_u;
-            v[i] = fy * py + center_v;
-            radius[i] = reach_u > reach_v ? reach_u : reach_v;
-            const bool close = nearest[i] <= 0.1f * hz;
-            const bool across = (u[i] + reach_u >= -0.5f) & (u[i] - reach_u <= wide - 0.5f);
-            const bool down = (v[i] + reach_v >= -0.5f) & (v[i] - reach_v <= high - 0.5f);
-            inside[i] = (cz + hz > 0.0f) & (close | (across & down));
-            // A box around the camera may be anywhere in the image.
-            radius[i] = close ? 1e9f : radius[i];
+            const float u = fx * px + center_u, v = fy * py + center_v;
+            const bool across = (u + reach_u >= -0.5f) & (u - reach_u <= wide - 0.5f);
+            const bool down = (v + reach_v >= -0.5f) & (v - reach_v <= high - 0.5f);
+            inside[i] = (cz + hz > 0.0f) & (close[i] | (across & down));
+            left[i] = u - reach_u; right[i] = u + reach_u;
+            top[i] = v - reach_v; bottom[i] = v + reach_v;
         }
         unsigned int seen = 0;
         for (int i = 0; i < LANES; ++i) {
             if (!inside[i] || !(asked >> i & 1u)) continue;
+            // A box around the camera may be anywhere in the image.
+            if (close[i]) { seen |= 1u << i; continue; }
+            auto tile = [](float pixel, float size) {
+                return (int)(pixel < 0.0f ? 0.0f : pixel > size - 1.0f ? size - 1.0f : pixel) / TILE;
+            };
+            const int u0 = tile(left[i], wide), u1 = tile(right[i], wide);
+            const int v0 = tile(top[i], high), v1 = tile(bottom[i], high);
+            const int narrow = u1 - u0 < v1 - v0 ? u1 - u0 + 1 : v1 - v0 + 1;
             int level = 0;
-            while (level < LEVELS && radius[i] > (float)(TILE * RADII[level])) ++level;
-            if (level == LEVELS) { seen |= 1u << i; continue; }
-            const float last_u = wide - 1.0f, last_v = high - 1.0f;
-            const int tile_u = (int)(u[i] < 0.0f ? 0.0f : u[i] > last_u ? last_u : u[i]) / TILE;
-            const int tile_v = (int)(v[i] < 0.0f ? 0.0f : v[i] > last_v ? last_v : v[i]) / TILE;
-            const float z = farthest.data[(((size_t)(first + i) * LEVELS + level) * rows + tile_v) * columns + tile_u];
-            seen |= (unsigned int)((z > 0.0f) & (nearest[i] <= z + truncation)) << i;
+            while (level < levels - 1 && 2 << level <= narrow) ++level;
+            const int square = 1 << level;
+            const float *known = farthest.data + ((size_t)(first + i) * levels + level) * rows * columns;
+            float z_max = 0.0f;
+            for (int row = v0;; row += square) {
+                const int v = row < v1 - square + 1 ? row : v1 - square + 1;
+                for (int column = u0;; column += square) {
+                    const int u = column < u1 - square + 1 ? column : u1 - square + 1;
+                    const float z = known[v * columns + u];
+                    z_max = z > z_max ? z : z_max;
+                    if (column >= u1 - square + 1) break;
+                }
+                if (row >= v1 - square + 1) break;
+            }
+            seen |= (unsigned int)((z_max > 0.0f) & (nearest[i] <= z_max + truncation)) << i;
         }
         return seen;
     };
-    unsigned int quarters[4] = {0, 0, 0, 0};
+    unsigned int parts[PARTS] = {0};
     for (int first = 0; first < frames; first += LANES) {
         const unsigned int there = frames - first >= LANES ? 0xffu : (1u << (frames - first)) - 1u;
         const unsigned int block = see(x + 3.5f, y + 3.5f, z + 3.5f, first, 12, there);
         if (block == 0u) continue;
-        for (int q = 0; q < 4; ++q) {
-            const float quarter_y = y + 1.5f + 4.0f * (q & 1), quarter_z = z + 1.5f + 4.0f * (q >> 1);
-            quarters[q] |= see(x + 3.5f, quarter_y, quarter_z, first, 15, block) << first;
+        for (int part = 0; part < PARTS; ++part) {
+            const float part_y = y + 1.5f + 4.0f * (part & 1), part_z = z + 1.5f + 4.0f * (part >> 1);
+            parts[part] |= see(x + 3.5f, part_y, part_z, first, 15, block) << first;
         }
     }
-    for (int q = 0; q < 4; ++q) masks.data[4 * number + q] = quarters[q];
+    for (int part = 0; part < PARTS; ++part) masks.data[PARTS * number + part] = parts[part];
 """
 
 
-@wp.func_native(RADII_IN_CPP + f"constexpr int TILE = {TILE};" + _MARK_IN_CPP)
-def mark_quarters(
+@wp.func_native(f"constexpr int TILE = {TILE}, PARTS = {PARTS};" + _MARK_IN_CPP)
+def mark_parts(
     x: float,
     y: float,
     z: float,
@@ -121,11 +138,11 @@ def _mark_visible(
 ) -> None:
     number = wp.tid() + first
     if number >= count[0]:
-        for quarter in range(4):
-            masks[number, quarter] = wp.uint32(0)
+        for part in range(_PARTS):
+            masks[number, part] = wp.uint32(0)
         return
     block = blocks[number]
-    mark_quarters(
+    mark_parts(
         float(8 * block[0]),
         float(8 * block[1]),
         float(8 * block[2]),
@@ -152,14 +169,14 @@ def visible_blocks(
     truncation: float,
     blocks: int | None = None,
 ) -> wp.array:
-    """Return frame masks (blocks, 4) uint32: bit f of a block's quarter is set where frame f may update a voxel.
+    """Return frame masks (blocks, 4) uint32: bit f of a part of a block is set where frame f may update a voxel.
 
     ``truncation`` is metres. Masks are made for the first ``blocks`` blocks, as many as the host knows of if not given;
     more than there are get 0.
     """
     camera, device = batch.camera, table.device
     count = table.count if blocks is None else blocks
-    masks = wp.empty((count, QUARTERS), dtype=wp.uint32, device=device)
+    masks = wp.empty((count, PARTS), dtype=wp.uint32, device=device)
     launch_in_slabs(
         _mark_visible,
         dim=count,
