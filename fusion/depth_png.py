@@ -1,8 +1,8 @@
 """Depth images are 16-bit PNGs; here those are decoded in a third of the time that libpng takes.
 
 libpng takes most of it to undo the row filters, byte by byte: each byte is predicted from its neighbours to the left
-(a), above (b) and above left (c). Rows depend on the rows above, but only up to the same pixel: so eight rows are undone
-together, each a pixel behind the one above, as the lanes of one vector.
+(a), above (b) and above left (c). Rows depend on the rows above, but only up to the same pixel: so eight rows are
+undone together, each a pixel behind the one above, as the lanes of one vector.
 """
 
 import struct

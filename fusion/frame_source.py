@@ -78,8 +78,9 @@ class FrameSource:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Stop the threads, after the images that they are at."""
+        """Stop the threads, after the images that they are at, and forget what was decoded."""
         self._pool.shutdown(cancel_futures=True)
+        self._cache.clear()
 
     def depth_batches(self) -> Iterator[DecodedFrames]:
         """Yield all frames, without colour, batch by batch."""
