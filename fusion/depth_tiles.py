@@ -17,38 +17,36 @@ TILE = 8
 NONE_NEAR = wp.constant(3.0e38)
 """Where an empty range begins."""
 
-# All lanes first look for the extremes; only where those are far apart a second look splits the tile. Depths that are
-# not finite compare false, or exceed the bound, and so are passed over.
+# All lanes first look for the extremes, in the images' own type T; only where those are far apart a second look splits
+# the tile. Less one, an invalid 0 in steps becomes the largest number there is, so that no smallest one is 0.
 _SURVEY_IN_CPP = """
     constexpr float FAR = 3.0e38f;
     const int height = depth.shape[1], width = depth.shape[2], columns = ranges.shape[2];
     const int v0 = 8 * tile_v, u0 = 8 * tile_u;
     const int rows = height - v0 < 8 ? height - v0 : 8, lanes = width - u0 < 8 ? width - u0 : 8;
-    const auto *corner = depth.data + ((size_t)frame * height + v0) * width + u0;
+    const T *corner = depth.data + ((size_t)frame * height + v0) * width + u0;
     const size_t tile = ((size_t)frame * ranges.shape[1] + tile_v) * columns + tile_u;
-    float low[8], high[8];
-    int valid[8];
-    for (int i = 0; i < 8; ++i) { low[i] = FAR; high[i] = 0.0f; valid[i] = 0; }
+    const T none = STEPS ? (T)65535 : (T)FAR;
+    T low[8], high[8];
+    for (int i = 0; i < 8; ++i) { low[i] = none; high[i] = (T)0; }
     auto look = [&](int v, int i) {
-        const float z = (float)corner[(size_t)v * width + i];
-        const bool good = (z > 0.0f) & (z < FAR);
-        low[i] = (good & (z < low[i])) ? z : low[i];
-        high[i] = (good & (z > high[i])) ? z : high[i];
-        valid[i] += good;
+        const T z = corner[(size_t)v * width + i];
+        const T valid = STEPS ? (T)(z - 1) : z > (T)0 ? z : none;
+        low[i] = valid < low[i] ? valid : low[i];
+        high[i] = z > high[i] ? z : high[i];
     };
     if (lanes == 8) {
         for (int v = 0; v < rows; ++v) for (int i = 0; i < 8; ++i) look(v, i);
     } else {
         for (int v = 0; v < rows; ++v) for (int i = 0; i < lanes; ++i) look(v, i);
     }
-    float nearest = FAR, farthest = 0.0f;
-    int count = 0;
+    T all_low = none, all_high = (T)0;
     for (int i = 0; i < 8; ++i) {
-        nearest = low[i] < nearest ? low[i] : nearest;
-        farthest = high[i] > farthest ? high[i] : farthest;
-        count += valid[i];
+        all_low = low[i] < all_low ? low[i] : all_low;
+        all_high = high[i] > all_high ? high[i] : all_high;
     }
-    whole.data[tile] = count == rows * lanes;
+    const float nearest = all_low == none ? FAR : (float)all_low + (STEPS ? 1.0f : 0.0f);
+    const float farthest = (float)all_high;
     float near_end = farthest, far_begin = FAR, far_end = 0.0f;
     if ((farthest - nearest) * scale > split_beyond) {
         const float middle = 0.5f * (nearest + farthest);
@@ -57,8 +55,8 @@ _SURVEY_IN_CPP = """
         for (int v = 0; v < rows; ++v) {
             for (int i = 0; i < lanes; ++i) {
                 const float z = (float)corner[(size_t)v * width + i];
-                if ((z > middle) & (z < FAR)) far_begin = z < far_begin ? z : far_begin;
-                else if ((z > 0.0f) & (z < FAR)) near_end = z > near_end ? z : near_end;
+                if (z > middle) far_begin = z < far_begin ? z : far_begin;
+                else if (z > 0.0f) near_end = z > near_end ? z : near_end;
             }
         }
     }
@@ -72,19 +70,20 @@ class DepthTiles:
     """Depth ranges of a batch's tiles, metres.
 
     ``ranges`` (frames, rows, columns) vec4: the nearest and farthest of the near pixels, then of the far pixels; an
-    empty range begins at NONE_NEAR and ends at 0. ``whole`` (frames, rows, columns) uint8, 1 where every pixel is
-    valid.
+    empty range begins at NONE_NEAR and ends at 0.
     """
 
     ranges: wp.array
-    whole: wp.array
 
 
 @cache
 def kernel(depth_type: type) -> Kernel:
     """Return the kernel for depth of a type, uint16 or float32; its threads take a tile each."""
 
-    @wp.func_native(_SURVEY_IN_CPP)
+    in_steps = depth_type is wp.uint16
+    declared = f"typedef {'unsigned short' if in_steps else 'float'} T; constexpr bool STEPS = {str(in_steps).lower()};"
+
+    @wp.func_native(declared + _SURVEY_IN_CPP)
     def survey_tile(
         frame: int,
         tile_v: int,
@@ -93,9 +92,8 @@ def kernel(depth_type: type) -> Kernel:
         scale: float,
         split_beyond: float,
         ranges: wp.array3d(dtype=wp.vec4),
-        whole: wp.array3d(dtype=wp.uint8),
     ) -> None:
-        """Write a tile's ranges, and whether all of its pixels are valid."""
+        """Write a tile's ranges."""
 
     @wp.kernel(module="unique", enable_backward=False)
     def survey_tiles(
@@ -104,13 +102,12 @@ def kernel(depth_type: type) -> Kernel:
         scale: float,
         split_beyond: float,
         ranges: wp.array3d(dtype=wp.vec4),
-        whole: wp.array3d(dtype=wp.uint8),
     ) -> None:
         index = wp.tid() + first
         columns = ranges.shape[2]
         rows = ranges.shape[1]
         tile_v = (index / columns) % rows
-        survey_tile(index / (columns * rows), tile_v, index % columns, depth, scale, split_beyond, ranges, whole)
+        survey_tile(index / (columns * rows), tile_v, index % columns, depth, scale, split_beyond, ranges)
 
     return survey_tiles
 
@@ -119,14 +116,12 @@ def depth_tiles(batch: FrameBatch, *, split_beyond: float) -> DepthTiles:
     """Survey a batch's depth images; tiles whose depths span more than ``split_beyond`` metres have two ranges."""
     camera, device = batch.camera, batch.depth.device
     shape = (len(batch), -(-camera.height // TILE), -(-camera.width // TILE))
-    tiles = DepthTiles(
-        ranges=wp.empty(shape, dtype=wp.vec4, device=device), whole=wp.empty(shape, dtype=wp.uint8, device=device)
-    )
+    tiles = DepthTiles(ranges=wp.empty(shape, dtype=wp.vec4, device=device))
     launch_in_slabs(
         kernel(batch.depth.dtype),
         dim=tiles.ranges.size,
         inputs=[batch.depth, batch.depth_scale, split_beyond],
-        outputs=[tiles.ranges, tiles.whole],
+        outputs=[tiles.ranges],
         device=device,
     )
     return tiles
