@@ -79,7 +79,6 @@ class DepthTiles:
 @cache
 def kernel(depth_type: type) -> Kernel:
     """Return the kernel for depth of a type, uint16 or float32; its threads take a tile each."""
-
     in_steps = depth_type is wp.uint16
     declared = f"typedef {'unsigned short' if in_steps else 'float'} T; constexpr bool STEPS = {str(in_steps).lower()};"
 

@@ -5,17 +5,18 @@ truncation nothing was seen, and the −1 of equation (2) would claim solid spac
 Colour is taken where |d| ≤ t, near the surface that shows it. Each frame's weight w_new is 1, or what ``Weighting``
 says.
 
-Rows of eight voxels along x are taken through all frames of the batch that see their part of the block; the sums
-stay in registers, so a voxel is read and written once a batch however many frames see it. Along the row the projection
-moves by a constant step. The row is written in C++, the same for CPU and CUDA, because its plain loops over eight lanes
-become vector instructions on the CPU, which Warp's scalar code does not: it takes half the time.
+A thread takes its voxels through all frames of the batch that see their part of the block; the sums stay in registers,
+so a voxel is read and written once a batch however many frames see it. On CUDA that is one voxel, so that neighbouring
+threads read side by side, and share a mask. On the CPU it is a block by rows of eight voxels along x, over which the
+projection moves by a constant step. Both are the same C++, in loops over lanes that the CPU's compiler turns into
+vector instructions: that takes half the time of Warp's scalar code.
 """
 
 from functools import cache
 
 import warp as wp
 
-from fusion.block_table import BLOCK_SIDE
+from fusion.block_table import BLOCK_SIDE, BLOCK_VOXELS
 from fusion.devices import Device, Kernel, launch_in_slabs
 from fusion.frame_batch import FrameBatch
 from fusion.frame_matrices import FrameMatrices
@@ -26,12 +27,12 @@ from fusion.voxels import PACKING_IN_CPP, Voxels
 
 _ROWS = wp.constant(BLOCK_SIDE * BLOCK_SIDE)
 _PARTS = wp.constant(PARTS)
+_VOXELS = wp.constant(BLOCK_VOXELS)
 
 # Names as in the paper: d by (1), t_d by (2); (3) to (5) are sums here, and averages where the volume is read. Lanes
 # without a valid pixel read pixel 0 and are masked. `left` runs through the mask's bits, the frames. BILINEAR,
 # WEIGHTED and DROP_OFF are constants of the compiler, so that what is not asked for costs nothing.
-_ROW_IN_CPP = """
-    constexpr int LANES = 8;
+_LANES_IN_CPP = """
     float distances[LANES] = {0}, weights[LANES] = {0}, reds[LANES] = {0}, greens[LANES] = {0}, blues[LANES] = {0};
     float color_weights[LANES] = {0};
     const int height = depth.shape[1], width = depth.shape[2];
@@ -171,13 +172,14 @@ class Rules:
 
 
 @cache
-def kernel(depth_type: type, *, on_cuda: bool, bilinear: bool, weighted: bool, drop_off: bool) -> Kernel:
-    """Return the kernel for the given options; its threads take a row of voxels each on CUDA, a block on the CPU."""
+def kernel(depth_type: type, *, by_voxel: bool, bilinear: bool, weighted: bool, drop_off: bool) -> Kernel:
+    """Return the kernel for the given options; its threads take a voxel each (for CUDA), or a block (for the CPU)."""
     constants = {"BILINEAR": bilinear, "WEIGHTED": weighted, "DROP_OFF": drop_off}
     declared = "".join(f"constexpr bool {name} = {str(value).lower()};\n" for name, value in constants.items())
+    declared += f"constexpr int LANES = {1 if by_voxel else BLOCK_SIDE};\n"
 
-    @wp.func_native(declared + PACKING_IN_CPP + _ROW_IN_CPP)
-    def integrate_row(
+    @wp.func_native(declared + PACKING_IN_CPP + _LANES_IN_CPP)
+    def integrate_lanes(
         frame_mask: wp.uint32,
         x: float,
         y: float,
@@ -190,14 +192,14 @@ def kernel(depth_type: type, *, on_cuda: bool, bilinear: bool, weighted: bool, d
         rules: Rules,
         voxels: Voxels,
     ) -> None:
-        """Add all frames of ``frame_mask`` to the eight voxels from ``voxel`` on, at lattice position (x …, y, z)."""
+        """Add all frames of ``frame_mask`` to the voxels from ``voxel`` on, at lattice position (x …, y, z)."""
 
     @wp.func
     def integrate(
         number: int,
-        row: int,
+        local: int,
         masks: wp.array2d(dtype=wp.uint32),
-        block: wp.vec3i,
+        blocks: wp.array(dtype=wp.vec3i),
         depth: wp.array3d(dtype=depth_type),
         depth_scale: float,
         images: Images,
@@ -205,18 +207,17 @@ def kernel(depth_type: type, *, on_cuda: bool, bilinear: bool, weighted: bool, d
         rules: Rules,
         voxels: Voxels,
     ) -> None:
-        y = row & 7
-        z = row >> 3
+        y = (local >> 3) & 7
+        z = local >> 6
         mask = masks[number, (y >> 2) + 2 * (z >> 2)]
         if mask != wp.uint32(0):
-            voxel = (number * _ROWS + row) * 8
-            lattice = wp.vec3(float(8 * block[0]), float(8 * block[1] + y), float(8 * block[2] + z))
-            integrate_row(
+            first = 8 * blocks[number]
+            integrate_lanes(
                 mask,
-                lattice[0],
-                lattice[1],
-                lattice[2],
-                voxel,
+                float(first[0] + (local & 7)),
+                float(first[1] + y),
+                float(first[2] + z),
+                number * _VOXELS + local,
                 depth,
                 depth_scale,
                 images,
@@ -243,12 +244,11 @@ def kernel(depth_type: type, *, on_cuda: bool, bilinear: bool, weighted: bool, d
             any_frame = any_frame | masks[number, part]
         if any_frame == wp.uint32(0):
             return
-        block = blocks[number]
         for row in range(_ROWS):
-            integrate(number, row, masks, block, depth, depth_scale, images, pixel_from_lattice, rules, voxels)
+            integrate(number, 8 * row, masks, blocks, depth, depth_scale, images, pixel_from_lattice, rules, voxels)
 
     @wp.kernel(module="unique", enable_backward=False)
-    def integrate_rows(
+    def integrate_voxels(
         first: int,
         masks: wp.array2d(dtype=wp.uint32),
         blocks: wp.array(dtype=wp.vec3i),
@@ -260,22 +260,27 @@ def kernel(depth_type: type, *, on_cuda: bool, bilinear: bool, weighted: bool, d
         voxels: Voxels,
     ) -> None:
         index = wp.tid() + first
-        number = index / _ROWS
-        row = index - number * _ROWS
-        integrate(number, row, masks, blocks[number], depth, depth_scale, images, pixel_from_lattice, rules, voxels)
+        number = index / _VOXELS
+        local = index - number * _VOXELS
+        integrate(number, local, masks, blocks, depth, depth_scale, images, pixel_from_lattice, rules, voxels)
 
-    return integrate_rows if on_cuda else integrate_blocks
+    return integrate_voxels if by_voxel else integrate_blocks
 
 
 def kernel_for(depth_type: type, device: Device, options: Integration, *, weighted: bool) -> Kernel:
     """Return the kernel that integrates with ``options``; ``weighted`` tells that pixels have weights."""
     return kernel(
         depth_type,
-        on_cuda=device.is_cuda,
+        by_voxel=device.is_cuda,
         bilinear=options.depth_sampling == "bilinear",
         weighted=weighted,
         drop_off=options.drop_off,
     )
+
+
+def threads_a_block(device: Device) -> int:
+    """Return how many threads share a block in the kernel for a device."""
+    return BLOCK_VOXELS if device.is_cuda else 1
 
 
 def integrate_frames(
@@ -303,7 +308,7 @@ def integrate_frames(
     rules.weight_cap = options.weight_cap or 3.0e38
     launch_in_slabs(
         kernel_for(batch.depth.dtype, volume.device, options, weighted=batch.pixel_weights is not None),
-        dim=masks.shape[0] * (BLOCK_SIDE * BLOCK_SIDE if volume.device.is_cuda else 1),
+        dim=masks.shape[0] * threads_a_block(volume.device),
         inputs=[
             masks,
             volume.table.blocks,

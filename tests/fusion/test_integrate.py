@@ -8,6 +8,7 @@ from synthetic_scene import CAMERA, SphereScene
 
 from datagen.camera import PinholeCamera
 from datagen.rigid import inverse, transform_points
+from fusion import integrate
 from fusion.block_table import BLOCK_VOXELS
 from fusion.frame_batch import FrameUploader
 from fusion.fuse_batch import find_batch_blocks, integrate_batch
@@ -113,6 +114,19 @@ def test_every_voxel_follows_the_papers_equations(device, frames, options):
         np.testing.assert_allclose(sums[colored, 2:5] / sums[colored, 5:], color[colored], atol=1e-2)
         compared += seen.sum()
     assert compared > 20_000
+
+
+@pytest.mark.parametrize("storage", ["full", "packed"])
+def test_a_thread_for_each_voxel_does_the_same_as_one_for_each_block(device, frames, storage, monkeypatch):
+    # One is made for CUDA, the other for the CPU; each runs everywhere.
+    volumes = []
+    for by_voxel in (False, True):
+        kernel = integrate.kernel(wp.float32, by_voxel=by_voxel, bilinear=False, weighted=False, drop_off=False)
+        monkeypatch.setattr(integrate, "kernel_for", lambda *_, **__: kernel)
+        monkeypatch.setattr(integrate, "threads_a_block", lambda _: BLOCK_VOXELS if by_voxel else 1)
+        volumes.append(by_block(fuse(frames, device, storage=storage)))
+    for block, sums in volumes[0].items():
+        np.testing.assert_allclose(volumes[1][block], sums, rtol=1e-4, atol=1e-3)
 
 
 def test_depth_in_steps_is_the_same_as_in_metres(device, frames):

@@ -29,7 +29,7 @@ def kernels_made_to_measure():
         for bilinear, weighted, drop_off in itertools.product((False, True), repeat=3):
             options = {"bilinear": bilinear, "weighted": weighted, "drop_off": drop_off}
             asked = "-".join(name for name, value in options.items() if value)
-            kernel = integrate.kernel(depth_type, on_cuda=True, **options)
+            kernel = integrate.kernel(depth_type, by_voxel=True, **options)
             yield pytest.param(kernel, id=f"fusion.integrate-{depth_type.__name__}-{asked or 'paper'}")
 
 
