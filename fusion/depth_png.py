@@ -80,6 +80,9 @@ _UNFILTER_IN_CPP = """
         while (step < (rows < ROWS || width < ROWS ? last : ROWS - 1)) advance(step++, false);
         while (step < width) advance(step++, true);
         while (step < last) advance(step++, false);
+        // The last row is still to be predicted from.
+        const int begin = first > 0 ? -width : 0, end = (first + rows < height ? rows - 1 : rows) * width;
+        for (int i = begin; i < end; ++i) out[i] = out[i] <= largest ? out[i] : 0;
     }
     return true;
 #endif
@@ -88,9 +91,12 @@ _UNFILTER_IN_CPP = """
 
 @wp.func_native(_UNFILTER_IN_CPP)
 def undo_filters(
-    filtered: wp.array(dtype=wp.uint8), height: int, width: int, pixels: wp.array(dtype=wp.uint16)
+    filtered: wp.array(dtype=wp.uint8), height: int, width: int, largest: int, pixels: wp.array(dtype=wp.uint16)
 ) -> bool:
-    """Fill in ``pixels`` from rows of a filter's number and two bytes a pixel; false for a filter that is none."""
+    """Fill in ``pixels`` from rows of a filter's number and two bytes a pixel; false for a filter that is none.
+
+    Pixels above ``largest`` become 0.
+    """
 
 
 @wp.kernel
@@ -98,10 +104,11 @@ def _undo_filters(
     filtered: wp.array(dtype=wp.uint8),
     height: int,
     width: int,
+    largest: int,
     pixels: wp.array(dtype=wp.uint16),
     succeeded: wp.array(dtype=int),
 ) -> None:
-    succeeded[0] = int(undo_filters(filtered, height, width, pixels))
+    succeeded[0] = int(undo_filters(filtered, height, width, largest, pixels))
 
 
 def load() -> None:
@@ -109,10 +116,13 @@ def load() -> None:
     wp.load_module(__name__, device="cpu")
 
 
-def decode_depth(data: bytes, *, size: tuple[int, int]) -> NDArray[np.uint16] | None:
-    """Return the pixels (height, width) of a 16-bit gray PNG of ``size`` (width, height).
+def decode_depth(
+    data: bytes, *, size: tuple[int, int], largest: int, out: NDArray[np.uint16] | None = None
+) -> NDArray[np.uint16] | None:
+    """Return the pixels (height, width) of a 16-bit gray PNG of ``size`` (width, height), in ``out`` if it is given.
 
-    None for any other, and for damaged ones: those are for a reader that has the words for it.
+    Those above ``largest`` become 0. None for any other image, and for damaged ones: those are for a reader that has
+    the words for it.
     """
     width, height = size
     try:
@@ -126,15 +136,15 @@ def decode_depth(data: bytes, *, size: tuple[int, int]) -> NDArray[np.uint16] | 
         return None
     if len(filtered) != length:
         return None
-    pixels, succeeded = np.empty(height * width, dtype=np.uint16), np.zeros(1, dtype=np.int32)
+    pixels, succeeded = np.empty((height, width), np.uint16) if out is None else out, np.zeros(1, np.int32)
     wp.launch(
         _undo_filters,
         dim=1,
-        inputs=[_shared(np.frombuffer(filtered, dtype=np.uint8), wp.uint8), height, width],
-        outputs=[_shared(pixels, wp.uint16), _shared(succeeded, wp.int32)],
+        inputs=[_shared(np.frombuffer(filtered, dtype=np.uint8), wp.uint8), height, width, largest],
+        outputs=[_shared(pixels.ravel(), wp.uint16), _shared(succeeded, wp.int32)],
         device="cpu",
     )
-    return pixels.reshape(height, width) if succeeded[0] else None
+    return pixels if succeeded[0] else None
 
 
 def _shared(array: NDArray, dtype: type) -> wp.array:

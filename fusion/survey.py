@@ -3,17 +3,105 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
+import warp as wp
 from numpy.typing import NDArray
 
 from datagen.camera import PinholeCamera
 from datagen.errors import InputError
 from datagen.rigid import Matrix
 
-_TILE = 8
-_MEDIAN_STRIDE = 37
-"""Every so many pixels are enough for a median depth."""
+wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+
+# All in one call that holds no lock: the dozens of small NumPy steps that it would take make decoding threads wait for
+# each other. A coordinate in the world is z (r0 x + r1 y + r2) + t, with x and y the slopes of a corner's ray: its
+# extremes over a tile's corners are those of r0 x and of r1 y, added. The median is that of every seventh pixel, found
+# by its high byte and then by its low one.
+_SURVEY_IN_CPP = """
+    constexpr int TILE = 8, STRIDE = 7;
+    const int height = steps.shape[0], width = steps.shape[1];
+    const double fx = intrinsics[0], fy = intrinsics[1], cx = intrinsics[2], cy = intrinsics[3];
+    const unsigned short *image = steps.data;
+    double low[3], high[3];
+    for (int axis = 0; axis < 3; ++axis) { low[axis] = 1e300; high[axis] = -1e300; }
+    int farthest = 0;
+    for (int v = 0; v < height; v += TILE) {
+        const int bottom = v + TILE < height ? v + TILE : height;
+        for (int u = 0; u < width; u += TILE) {
+            const int right = u + TILE < width ? u + TILE : width;
+            unsigned short least[TILE], most[TILE];
+            for (int i = 0; i < TILE; ++i) { least[i] = 65535; most[i] = 0; }
+            auto widen = [&](int i, unsigned short z) {
+                const unsigned short wrapped = (unsigned short)(z - 1);  // invalid, 0, becomes the largest
+                least[i] = wrapped < least[i] ? wrapped : least[i];
+                most[i] = z > most[i] ? z : most[i];
+            };
+            for (int row = v; row < bottom; ++row) {
+                const unsigned short *z = image + (size_t)row * width + u;
+                if (right - u == TILE) {
+                    for (int i = 0; i < TILE; ++i) widen(i, z[i]);
+                } else {
+                    for (int i = 0; i < right - u; ++i) widen(i, z[i]);
+                }
+            }
+            int near = 65535, far = 0;
+            for (int i = 0; i < TILE; ++i) {
+                near = least[i] < near ? least[i] : near;
+                far = most[i] > far ? most[i] : far;
+            }
+            if (far == 0) continue;
+            near += 1;
+            farthest = far > farthest ? far : farthest;
+            const double x0 = (u - 0.5 - cx) / fx, x1 = (right - 0.5 - cx) / fx;
+            const double y0 = (v - 0.5 - cy) / fy, y1 = (bottom - 0.5 - cy) / fy;
+            for (int axis = 0; axis < 3; ++axis) {
+                const double *r = rotation.data[axis];
+                const bool rising_x = r[0] > 0.0, rising_y = r[1] > 0.0;
+                const double first = r[0] * (rising_x ? x0 : x1) + r[1] * (rising_y ? y0 : y1) + r[2];
+                const double last = r[0] * (rising_x ? x1 : x0) + r[1] * (rising_y ? y1 : y0) + r[2];
+                const double lowest = first * (first < 0.0 ? far : near), highest = last * (last > 0.0 ? far : near);
+                low[axis] = lowest < low[axis] ? lowest : low[axis];
+                high[axis] = highest > high[axis] ? highest : high[axis];
+            }
+        }
+    }
+    unsigned long long squares = 0;
+    const size_t count = (size_t)height * width;
+    for (size_t i = 0; i < count; ++i) squares += (unsigned long long)image[i] * image[i];
+    int by_high[256] = {0}, by_low[256] = {0}, valid = 0, before = 0, median_high = 0, median_low = 0;
+    const size_t stride = farthest > 0 && count > 64 * STRIDE ? STRIDE : 1;
+    for (size_t i = 0; i < count; i += stride) {
+        by_high[image[i] >> 8] += image[i] > 0;
+        valid += image[i] > 0;
+    }
+    while (median_high < 255 && before + by_high[median_high] <= valid / 2) before += by_high[median_high++];
+    for (size_t i = 0; i < count; i += stride) by_low[image[i] & 255] += image[i] > 0 && image[i] >> 8 == median_high;
+    while (median_low < 255 && before + by_low[median_low] <= valid / 2) before += by_low[median_low++];
+    for (int axis = 0; axis < 3; ++axis) {
+        findings.data[axis] = low[axis];
+        findings.data[3 + axis] = high[axis];
+    }
+    findings.data[6] = farthest;
+    findings.data[7] = valid > 0 ? 256 * median_high + median_low : farthest;
+    findings.data[8] = (double)squares;
+"""
+
+
+@wp.func_native(_SURVEY_IN_CPP)
+def survey_steps(
+    steps: wp.array2d(dtype=wp.uint16), intrinsics: wp.vec4d, rotation: wp.mat33d, findings: wp.array(dtype=wp.float64)
+) -> None:
+    """Fill in the box's corners as seen from the camera, the farthest depth, the median, and the sum of squares."""
+
+
+@wp.kernel
+def _survey(
+    steps: wp.array2d(dtype=wp.uint16),
+    intrinsics: wp.vec4d,  # fx, fy, cx, cy
+    rotation: wp.mat33d,  # world_from_camera
+    findings: wp.array(dtype=wp.float64),
+) -> None:
+    survey_steps(steps, intrinsics, rotation, findings)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,22 +143,37 @@ def survey_frame(
     The box is conservative: it is taken over 8×8 tiles, around the corners of each tile's frustum between its smallest
     and its largest depth.
     """
-    largest = _over_tiles(np.maximum, steps)
-    seen = largest > 0
-    if not seen.any():
-        return FrameSurvey(low=None, high=None, median_depth=0.0, farthest=0.0, surface_area=0.0)
-    # Invalid pixels, 0, wrap round to the largest number, which is the smallest nowhere else.
-    smallest = _over_tiles(np.minimum, steps - np.uint16(1))[seen] + 1.0
-    low, high = _frustum_box(camera, world_from_camera, seen, depth_scale * smallest, depth_scale * largest[seen])
-    some = steps.ravel()[::_MEDIAN_STRIDE]
-    some = some[some > 0]
-    return FrameSurvey(
-        low=low,
-        high=high,
-        median_depth=depth_scale * float(np.median(some if some.size else largest[seen])),
-        farthest=depth_scale * float(largest.max()),
-        surface_area=depth_scale**2 * cv2.norm(steps, cv2.NORM_L2SQR) / (camera.fx * camera.fy),
+    findings = np.zeros(9)
+    wp.launch(
+        _survey,
+        dim=1,
+        inputs=[
+            _shared(steps, wp.uint16),
+            wp.vec4d(camera.fx, camera.fy, camera.cx, camera.cy),
+            wp.mat33d(world_from_camera[:3, :3]),
+        ],
+        outputs=[_shared(findings, wp.float64)],
+        device="cpu",
     )
+    farthest, median, squares = findings[6:]
+    seen = farthest > 0
+    origin = world_from_camera[:3, 3]
+    return FrameSurvey(
+        low=origin + depth_scale * findings[:3] if seen else None,
+        high=origin + depth_scale * findings[3:6] if seen else None,
+        median_depth=depth_scale * float(median),
+        farthest=depth_scale * float(farthest),
+        surface_area=depth_scale**2 * float(squares) / (camera.fx * camera.fy),
+    )
+
+
+def load() -> None:
+    """Load the kernel, to be done before threads survey together: each would compile it."""
+    wp.load_module(__name__, device="cpu")
+
+
+def _shared(array: NDArray, dtype: type) -> wp.array:
+    return wp.array(array, dtype=dtype, device="cpu", copy=False)
 
 
 def combine(surveys: Sequence[FrameSurvey], camera: PinholeCamera) -> SceneSurvey:
@@ -89,43 +192,3 @@ def combine(surveys: Sequence[FrameSurvey], camera: PinholeCamera) -> SceneSurve
         pixel_footprint=float(np.median(depths)) / max(camera.fx, camera.fy),
         typical_extent=float(spread.max()),
     )
-
-
-def _over_tiles(largest_or_smallest: np.ufunc, image: NDArray[np.uint16]) -> NDArray[np.uint16]:
-    """Return the largest or the smallest of each tile; at the right and the bottom tiles may be cut."""
-    height, width = image.shape
-    if height % _TILE or width % _TILE:
-        image = np.pad(image, ((0, -height % _TILE), (0, -width % _TILE)), mode="edge")
-    # By halves, so that NumPy's loops run along whole rows: ten times faster than its reductions over short axes.
-    for _ in range(_TILE.bit_length() - 1):
-        image = largest_or_smallest(image[0::2], image[1::2])
-    for _ in range(_TILE.bit_length() - 1):
-        image = largest_or_smallest(image[:, 0::2], image[:, 1::2])
-    return image
-
-
-def _frustum_box(
-    camera: PinholeCamera,
-    world_from_camera: Matrix,
-    seen: NDArray[np.bool_],
-    nearest: NDArray[np.float64],
-    farthest: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the corners of the box around the frusta of the tiles that are ``seen``, (n,) metres from near to far.
-
-    A coordinate in the world is z (r₀ x + r₁ y + r₂) + t, with x and y the slopes of a corner's ray: its extremes over
-    a tile's corners are those of r₀ x and of r₁ y, added.
-    """
-    rows, columns = seen.shape
-    x = (np.minimum(_TILE * np.arange(columns + 1), camera.width) - 0.5 - camera.cx) / camera.fx
-    y = (np.minimum(_TILE * np.arange(rows + 1), camera.height) - 0.5 - camera.cy) / camera.fy
-    row, column = np.nonzero(seen)
-    low, high = world_from_camera[:3, 3].copy(), world_from_camera[:3, 3].copy()
-    for axis, (along_x, along_y, along_z) in enumerate(world_from_camera[:3, :3]):
-        ends_x = np.sort(along_x * np.stack([x[:-1], x[1:]]), axis=0)
-        ends_y = np.sort(along_y * np.stack([y[:-1], y[1:]]), axis=0)
-        least = ends_x[0, column] + ends_y[0, row] + along_z
-        most = ends_x[1, column] + ends_y[1, row] + along_z
-        low[axis] += (least * np.where(least < 0, farthest, nearest)).min()
-        high[axis] += (most * np.where(most > 0, farthest, nearest)).max()
-    return low, high

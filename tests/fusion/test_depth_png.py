@@ -8,6 +8,7 @@ import pytest
 from fusion import depth_png
 from fusion.depth_png import decode_depth
 
+ALL = 65535
 NONE, LEFT, ABOVE, MEAN, PAETH = range(5)
 
 
@@ -42,7 +43,7 @@ def rows_of(size, filters, seed=0):
 def test_pixels_are_those_of_the_reference_decoder(size, filters):
     data = png(rows_of(size, filters), size)
     expected = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    np.testing.assert_array_equal(decode_depth(data, size=size), expected)
+    np.testing.assert_array_equal(decode_depth(data, size=size, largest=ALL), expected)
 
 
 SIZE = (32, 24)
@@ -67,9 +68,24 @@ ROWS = rows_of(SIZE, [PAETH])
     ids=["empty", "cut", "header", "jpeg", "size", "rows", "filter", "rgb", "interlaced", "transparent", "damaged"],
 )
 def test_what_it_cannot_decode_is_left_to_others(data):
-    assert decode_depth(data, size=SIZE) is None
+    assert decode_depth(data, size=SIZE, largest=ALL) is None
+
+
+@pytest.mark.parametrize("size", [(32, 24), (33, 21), (5, 3)])
+def test_pixels_that_are_too_large_become_0_and_their_neighbours_stay(size):
+    data = png(rows_of(size, [PAETH, ABOVE, MEAN]), size)
+    pixels = decode_depth(data, size=size, largest=ALL)
+    np.testing.assert_array_equal(decode_depth(data, size=size, largest=40_000), np.where(pixels <= 40_000, pixels, 0))
+
+
+def test_an_array_can_be_given_to_be_filled():
+    out = np.full(SIZE[::-1], 7, np.uint16)
+    assert decode_depth(png(ROWS, SIZE), size=SIZE, largest=ALL, out=out) is out
+    np.testing.assert_array_equal(out, decode_depth(png(ROWS, SIZE), size=SIZE, largest=ALL))
 
 
 def test_other_chunks_are_passed_over():
     data = png(ROWS, SIZE, extra=chunk(b"tEXt", b"Comment\0made by hand"))
-    np.testing.assert_array_equal(decode_depth(data, size=SIZE), decode_depth(png(ROWS, SIZE), size=SIZE))
+    np.testing.assert_array_equal(
+        decode_depth(data, size=SIZE, largest=ALL), decode_depth(png(ROWS, SIZE), size=SIZE, largest=ALL)
+    )
