@@ -92,7 +92,12 @@ def _add_integration(command: argparse.ArgumentParser) -> None:
         default=defaults.integration.weighting,
         help="how much a pixel counts, by its depth or by the angle at which it sees (default: %(default)s)",
     )
-    command.add_argument("--drop-off", action="store_true", help="let the weight fall to nothing behind the surface")
+    command.add_argument(
+        "--drop-off",
+        action=argparse.BooleanOptionalAction,
+        default=defaults.integration.drop_off,
+        help="let the weight fall to nothing behind the surface (default: %(default)s)",
+    )
     command.add_argument("--weight-cap", type=float, metavar="W", help="the most a voxel's past counts, in frames")
     command.add_argument(
         "--min-weight", type=float, default=defaults.min_weight, metavar="W", help="mesh only what was seen more often"

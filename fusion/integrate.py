@@ -65,11 +65,9 @@ _LANES_IN_CPP = """
             d[i] = z_pixel[i] - z_voxel[i];
             seen[i] &= (z_pixel[i] > 0.0f) & (d[i] >= (BILINEAR ? -2.0f : -1.0f) * rules.truncation);
             any_seen |= seen[i];
-            any_near |= seen[i] & (d[i] <= 2.0f * rules.truncation);
         }
         if (!any_seen) continue;
-        // Farther in front, sampling makes no difference to t_d = 1.
-        if (BILINEAR && any_near) {
+        if (BILINEAR) {
             for (int i = 0; i < LANES; ++i) {
                 const float au = seen[i] ? u[i] + 0.5f : 1.0f, av = seen[i] ? v[i] + 0.5f : 1.0f;
                 const int u1 = (int)au, v1 = (int)av;  // the pixel after the one before
@@ -81,15 +79,14 @@ _LANES_IN_CPP = """
                 const float low_ab = a < b ? a : b, low_ce = c < e ? c : e, low = low_ab < low_ce ? low_ab : low_ce;
                 const float high_ab = a > b ? a : b, high_ce = c > e ? c : e;
                 const float high = high_ab > high_ce ? high_ab : high_ce;
+                seen[i] &= (low > 0.0f) & ((high - low) * depth_scale <= rules.truncation);
                 const float inverse = (1.0f - dv) * ((1.0f - du) / a + du / b) + dv * ((1.0f - du) / c + du / e);
-                const bool smooth = (low > 0.0f) & ((high - low) * depth_scale <= rules.truncation);
-                z_pixel[i] = smooth ? depth_scale / inverse : z_pixel[i];
+                z_pixel[i] = seen[i] ? depth_scale / inverse : z_pixel[i];
                 d[i] = z_pixel[i] - z_voxel[i];
                 seen[i] &= d[i] >= -rules.truncation;
             }
         }
         float w_new[LANES];
-        any_near = 0;
         for (int i = 0; i < LANES; ++i) {
             const float ratio = d[i] / rules.truncation;
             const float t_d = ratio < 1.0f ? ratio : 1.0f;

@@ -11,10 +11,12 @@ Weighting: TypeAlias = Literal["constant", "inverse-square", "cosine"]
 
 @dataclass(frozen=True, kw_only=True)
 class Integration:
-    """The options of integration; the defaults of ``depth_sampling`` and ``weighting`` are the paper's.
+    """The options of integration; the defaults are the paper's.
 
     ``depth_sampling``: the pixel nearest to a voxel's projection, or ``bilinear``: between the four around it, in
-    inverse depth, which is exact on planes, and the nearest one where they lie across an edge in depth.
+    inverse depth, which is exact on planes. Where those four lie across an edge in depth, by more than the truncation,
+    or one has no depth, the frame says nothing about the voxel: the nearest would carry the one surface's depth over to
+    the other side of its outline.
     ``weighting``: w_new of a pixel: 1, (1 m / z)², as the noise of depth cameras grows with z², or the cosine between
     the viewing ray and the surface's normal. ``drop_off``: behind the surface the weight falls linearly to 0 at −t, so
     that the far side of thin parts is disturbed less. ``weight_cap`` bounds a voxel's weight, so that new frames keep

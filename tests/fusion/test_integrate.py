@@ -31,8 +31,8 @@ def color_confidence(depth):
     return np.where((low > 0) & (high - low <= TRUNCATION), 1, 1 / 255)
 
 
-def bilinear_depth(depth, pixels, nearest):
-    """Between four pixels in inverse depth; ``nearest`` (n,) where they are not of one surface."""
+def bilinear_depth(depth, pixels):
+    """Between four pixels in inverse depth, 0 where they are not of one surface; and how clearly they are or not."""
     u0, v0 = np.floor(pixels).astype(int).T
     du, dv = (pixels - np.floor(pixels)).T
     corners = [
@@ -44,7 +44,7 @@ def bilinear_depth(depth, pixels, nearest):
     smooth = (low > 0) & (high - low <= TRUNCATION)
     a, b, c, e = (1 / np.where(smooth, corner, 1) for corner in corners)
     inverse_depth = (1 - dv) * ((1 - du) * a + du * b) + dv * ((1 - du) * c + du * e)
-    return np.where(smooth, 1 / inverse_depth, nearest), np.where(smooth, 1, np.abs(high - low - TRUNCATION))
+    return np.where(smooth, 1 / inverse_depth, 0), np.where(low > 0, np.abs(high - low - TRUNCATION), 1)
 
 
 def reference(frames, confidences, block, options=PAPER):
@@ -61,8 +61,8 @@ def reference(frames, confidences, block, options=PAPER):
         d_pixel = np.where(inside, frame.depth[v, u], 0)
         step = np.inf
         if options.depth_sampling == "bilinear":
-            sampled, step = bilinear_depth(frame.depth, pixels, d_pixel)
-            d_pixel = np.where(d_pixel > 0, sampled, 0)
+            sampled, step = bilinear_depth(frame.depth, pixels)
+            d_pixel = np.where(inside & (d_pixel > 0), sampled, 0)
         d = d_pixel - points[:, 2]
         new = (d_pixel > 0) & (d >= -TRUNCATION)
         t_d = np.maximum(-1, np.minimum(1, d / TRUNCATION))
@@ -119,14 +119,15 @@ def test_every_voxel_follows_the_papers_equations(device, frames, options):
 @pytest.mark.parametrize("storage", ["full", "packed"])
 def test_a_thread_for_each_voxel_does_the_same_as_one_for_each_block(device, frames, storage, monkeypatch):
     # One is made for CUDA, the other for the CPU; each runs everywhere.
-    volumes = []
-    for by_voxel in (False, True):
+    def fused_by(threads, *, by_voxel):
         kernel = integrate.kernel(wp.float32, by_voxel=by_voxel, bilinear=False, weighted=False, drop_off=False)
         monkeypatch.setattr(integrate, "kernel_for", lambda *_, **__: kernel)
-        monkeypatch.setattr(integrate, "threads_a_block", lambda _: BLOCK_VOXELS if by_voxel else 1)
-        volumes.append(by_block(fuse(frames, device, storage=storage)))
-    for block, sums in volumes[0].items():
-        np.testing.assert_allclose(volumes[1][block], sums, rtol=1e-4, atol=1e-3)
+        monkeypatch.setattr(integrate, "threads_a_block", lambda _: threads)
+        return by_block(fuse(frames, device, storage=storage))
+
+    expected = fused_by(1, by_voxel=False)
+    for block, sums in fused_by(BLOCK_VOXELS, by_voxel=True).items():
+        np.testing.assert_allclose(sums, expected[block], rtol=1e-4, atol=1e-3)
 
 
 def test_depth_in_steps_is_the_same_as_in_metres(device, frames):
