@@ -51,21 +51,22 @@ def decoding_threads():
 
 
 def test_no_thread_is_left_when_the_caller_gives_up(dataset):
-    with pytest.raises(KeyboardInterrupt), FrameSource(dataset, IDS, depth_max=None, batch_size=2) as source:
-        for _ in source.batches():
+    def give_up():
+        with FrameSource(dataset, IDS, depth_max=None, batch_size=2) as source:
+            next(source.batches())
             raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        give_up()
     assert decoding_threads() == []
 
 
 def test_a_damaged_frame_is_an_error_of_its_own_batch(dataset):
     path = dataset.depth_file(5)
     path.write_bytes(path.read_bytes()[:-50])
-    seen = []
-    with (
-        pytest.raises(InputError, match=r"frame-000005\.depth\.png: damaged or cut short"),
-        FrameSource(dataset, IDS, depth_max=None, batch_size=2) as source,
-    ):
-        for frames in source.batches():
-            seen += frames.frame_ids
-    assert seen == [0, 1, 2, 3]
+    with FrameSource(dataset, IDS, depth_max=None, batch_size=2) as source:
+        batches = source.batches()
+        assert [next(batches).frame_ids, next(batches).frame_ids] == [(0, 1), (2, 3)]
+        with pytest.raises(InputError, match=r"frame-000005\.depth\.png: damaged or cut short"):
+            next(batches)
     assert decoding_threads() == []
