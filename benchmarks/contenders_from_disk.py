@@ -17,13 +17,10 @@ from fusion.devices import load_kernels, resolve_device
 from fusion.fuse_batch import load_fusion_kernels
 from fusion.integration import Integration
 from fusion.reconstruct import KERNEL_MODULES, reconstruct
-from fusion.reconstruction_config import ReconstructionConfig
+from fusion.reconstruction_config import EXACT, ReconstructionConfig
 
 
 def scanback(dataset, options):
-    device = resolve_device(options.device)
-    load_kernels(KERNEL_MODULES, device=device)
-    load_fusion_kernels(Integration(), device=device)
     config = ReconstructionConfig(
         voxel_size=options.voxel_size,
         truncation=options.truncation,
@@ -31,7 +28,12 @@ def scanback(dataset, options):
         frames=options.frames,
         device=options.device,
         storage=options.storage,
+        # Open3D takes the nearest pixel too; the defaults of fusion reconstruct do more.
+        integration=EXACT if options.exact else Integration(),
     )
+    device = resolve_device(options.device)
+    load_kernels(KERNEL_MODULES, device=device)
+    load_fusion_kernels(config.integration, device=device)
 
     def run():
         record = reconstruct(dataset, Path(options.mesh).parent, config).record

@@ -148,6 +148,7 @@ def main():
     parser.add_argument("--depth-max", type=float, default=10.0)
     parser.add_argument("--frames")
     parser.add_argument("--from-disk", action="store_true", help="from the folder to a mesh on disk, decoding included")
+    parser.add_argument("--exact", action="store_true", help="from disk: ours with the command's defaults, more work")
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--storage", choices=["packed", "full"], default="packed")
     parser.add_argument("--rounds", type=int, default=3)
