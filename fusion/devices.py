@@ -1,8 +1,8 @@
 """Where kernels run: the CPU, on all of its cores, or a CUDA device."""
 
 import os
-from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
 from functools import cache
 from typing import Any, TypeAlias, TypeVar
 
@@ -79,23 +79,45 @@ def launch_in_slabs(
         return
     # Loaded before the pool begins, or each thread would compile it.
     wp.load_module(kernel.module, device=device)
-    threads = _core_count()
     # Several slabs a core, so that a core which is done early takes over work.
-    slab = max(-(-dim // (8 * threads)), least_slab)
-
-    def run(first: int) -> None:
-        size = min(slab, dim - first)
-        wp.launch(kernel, dim=size, inputs=[first, *inputs], outputs=outputs, device=device)
-
+    slab = max(-(-dim // (8 * _core_count())), least_slab)
     if dim <= slab:
-        run(0)
-    else:
-        map_on_cores(run, range(0, dim, slab))
+        wp.launch(kernel, dim=dim, inputs=[0, *inputs], outputs=outputs, device=device)
+        return
+    firsts = iter(range(0, dim, slab))
+
+    def work() -> None:
+        # A recorded launch is cheaper than another one.
+        command = wp.launch(kernel, dim=slab, inputs=[0, *inputs], outputs=outputs, device=device, record_cmd=True)
+        for first in firsts:
+            command.set_param_at_index(0, first)
+            if dim - first < slab:
+                command.set_dim(dim - first)
+            command.launch()
+
+    _on_all_cores(work, tasks=-(-dim // slab))
 
 
-def map_on_cores(function: Callable[[_Item], None], items: Iterable[_Item]) -> None:
+def map_on_cores(function: Callable[[_Item], None], items: Sequence[_Item]) -> None:
     """Call ``function``, which should release the interpreter's lock, for each item on all cores."""
-    list(_pool().map(function, items))
+    left = iter(items)
+
+    def work() -> None:
+        for item in left:
+            function(item)
+
+    _on_all_cores(work, tasks=len(items))
+
+
+def _on_all_cores(work: Callable[[], None], *, tasks: int) -> None:
+    """Run ``work``, which shares out tasks, on this thread and on those of the pool."""
+    others = [_pool().submit(work) for _ in range(min(_core_count(), tasks) - 1)]
+    try:
+        work()
+    finally:
+        wait(others)
+    for other in others:
+        other.result()
 
 
 def _core_count() -> int:

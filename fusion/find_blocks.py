@@ -230,7 +230,7 @@ def _enter_blocks(
         whole = bool(False)
         while size > 1 and not whole:
             span = range_of_tiles(ranges, frame, u, v, size)
-            whole = span[1] == 0.0 or (span[1] - span[0] <= truncation and float(size) * span[1] <= widest)
+            whole = span[1] == 0.0 or (span[1] - span[0] <= 2.0 * truncation and float(size) * span[1] <= widest)
             if not whole:
                 size = size >> 1
         request = Request()

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import cv2
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
@@ -22,8 +21,9 @@ class FrameBatch:
     """Up to ``MAX_BATCH`` frames of one camera, as device arrays.
 
     ``depth`` (frames, height, width) planar, 0 = invalid, in steps of ``depth_scale`` metres: uint16 as images store
-    it, or float32 metres, then ``depth_scale`` is 1. ``color`` (frames, height, width) uint32, red in the lowest byte,
-    its confidence in the highest, or None for depth alone; ``pixel_weights`` (frames, height, width) float32, None
+    it, or float32 metres, then ``depth_scale`` is 1. ``color`` (frames, height, 3 · width) uint8, RGB, or None for
+    depth alone; ``rgba`` (frames, height, width) uint32 is room for the same with its confidence in the highest byte,
+    red in the lowest (``color_confidence``); ``pixel_weights`` (frames, height, width) float32, None
     where all are 1; ``camera_from_world`` (frames,) mat44d.
     """
 
@@ -31,6 +31,7 @@ class FrameBatch:
     depth: wp.array
     depth_scale: float
     color: wp.array | None
+    rgba: wp.array
     camera_from_world: wp.array
     pixel_weights: wp.array | None = None
 
@@ -51,8 +52,9 @@ class _Buffers:
         self.host = (
             wp.empty(shape, dtype=depth_type, device="cpu", pinned=pinned),
             wp.empty(capacity, dtype=wp.mat44d, device="cpu", pinned=pinned),
-            wp.empty(shape, dtype=wp.uint32, device="cpu", pinned=pinned),
+            wp.empty((capacity, camera.height, 3 * camera.width), dtype=wp.uint8, device="cpu", pinned=pinned),
         )
+        self.rgba = wp.empty(shape, dtype=wp.uint32, device=device)
         self.on_device = tuple(wp.empty_like(array, device=device) for array in self.host) if pinned else self.host
         self.copied: Any = None
         self.released: Any = None
@@ -112,6 +114,7 @@ class FrameUploader:
             depth=depth,
             depth_scale=self.depth_scale,
             color=None if colors is None else color,
+            rgba=buffers.rgba[:count],
             camera_from_world=camera_from_world,
         )
 
@@ -141,9 +144,7 @@ def _fill(
         if depth_rows.dtype == np.float32:
             depth_rows[i][~np.isfinite(depth_rows[i])] = 0
         if colors is not None:
-            height, width = colors[i].shape[:2]
-            rgba = color_rows[i].view(np.uint8).reshape(height, width, 4)
-            cv2.cvtColor(colors[i], cv2.COLOR_RGB2RGBA, dst=rgba)
+            np.copyto(color_rows[i], colors[i].reshape(color_rows[i].shape), casting="no")
 
     map_on_cores(copy, range(len(depths)))
     pose_rows[: len(poses)] = [inverse(pose) for pose in poses]

@@ -55,7 +55,7 @@ def integrate_batch(volume: Volume, batch: FrameBatch, options: Integration, *, 
     Returns the frame masks (blocks, 4) of ``visible_blocks``: which parts of which blocks were gone through.
     """
     tiles = depth_tiles.depth_tiles(batch, split_beyond=2 * volume.truncation)
-    color_confidence.lower_confidence_at_edges(batch, step=volume.truncation)
+    color_confidence.join_color_and_confidence(batch, step=volume.truncation)
     weights = pixel_weights.pixel_weights(batch, options.weighting, step=volume.truncation)
     matrices = frame_matrices(batch, volume.voxel_size)
     masks = visible_blocks(volume.table, batch, tiles, matrices, truncation=volume.truncation)

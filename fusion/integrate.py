@@ -49,6 +49,7 @@ _LANES_IN_CPP = """
         const float z0 = p.data[2][0] * x + p.data[2][1] * y + p.data[2][2] * z + p.data[2][3];
         const size_t image = (size_t)frame * height * width;
         const auto *depths = depth.data + image;
+        const unsigned int *colors = images.color.data + image;
         float u[LANES], v[LANES], d[LANES], z_voxel[LANES], z_pixel[LANES];
         int seen[LANES], near[LANES], pixel[LANES], any_seen = 0, any_near = 0;
         for (int i = 0; i < LANES; ++i) {
@@ -99,52 +100,104 @@ _LANES_IN_CPP = """
         }
         if (!any_near) continue;
         for (int i = 0; i < LANES; ++i) {
-            const unsigned int rgba = near[i] ? images.color.data[image + pixel[i]] : 0u;
-            const float w_color = w_new[i] * ((float)(rgba >> 24) / 255.0f);
+            // Loaded whether near or not: a branch for each lane would cost more.
+            const unsigned int rgba = colors[near[i] ? pixel[i] : 0];
+            const float w_color = near[i] ? w_new[i] * ((float)(rgba >> 24) * (1.0f / 255.0f)) : 0.0f;
             reds[i] += w_color * (float)(rgba & 255u);
             greens[i] += w_color * (float)((rgba >> 8) & 255u);
             blues[i] += w_color * (float)((rgba >> 16) & 255u);
             color_weights[i] += w_color;
         }
     }
+    // Read, add, write: as loops of their own, for the sake of vector instructions.
+    float distance[LANES], weight[LANES], red[LANES], green[LANES], blue[LANES], color_weight[LANES];
     const bool packed = voxels.packed.shape[0] > 0;
-    for (int i = 0; i < LANES; ++i) {
-        if (weights[i] == 0.0f) continue;
-        float held_distance, held_weight, held_color_weight;
-        wp::vec3 held_color;
-        if (packed) {
+    if (packed) {
+        for (int i = 0; i < LANES; ++i) {
             const unsigned long long bits = voxels.packed.data[voxel + i];
-            held_weight = weight_of_bits((unsigned int)(bits >> 16) & 0xffffu);
-            held_distance = held_weight * (float)(short)(bits & 0xffffu) * (1.0f / 32767.0f);
-            held_color_weight = held_weight * (float)(bits >> 56) * (1.0f / 255.0f);
-            held_color = held_color_weight * wp::vec3((float)((bits >> 32) & 255u), (float)((bits >> 40) & 255u),
-                                                      (float)((bits >> 48) & 255u));
-        } else {
-            held_distance = voxels.distance_sum.data[voxel + i];
-            held_weight = voxels.weight.data[voxel + i];
-            held_color_weight = voxels.color_weight.data[voxel + i];
-            held_color = voxels.color_sum.data[voxel + i];
+            const unsigned int low = (unsigned int)bits, high = (unsigned int)(bits >> 32);
+            weight[i] = weight_of_bits(low >> 16);
+            distance[i] = weight[i] * (float)(short)(low & 0xffffu) * (1.0f / 32767.0f);
+            color_weight[i] = weight[i] * (float)(high >> 24) * (1.0f / 255.0f);
+            red[i] = color_weight[i] * (float)(high & 255u);
+            green[i] = color_weight[i] * (float)((high >> 8) & 255u);
+            blue[i] = color_weight[i] * (float)((high >> 16) & 255u);
         }
-        float sum = held_weight + rules.sign * weights[i];
-        float distance = held_distance + rules.sign * distances[i];
-        float color_sum_weight = held_color_weight + rules.sign * color_weights[i];
-        wp::vec3 rgb = held_color + rules.sign * wp::vec3(reds[i], greens[i], blues[i]);
-        // What rounding leaves of a weight that was taken away is nothing.
-        if (sum < 1e-4f * held_weight) { sum = 0.0f; distance = 0.0f; color_sum_weight = 0.0f; }
-        if (color_sum_weight < 1e-4f * held_color_weight) { color_sum_weight = 0.0f; }
-        if (color_sum_weight == 0.0f) rgb = wp::vec3(0.0f, 0.0f, 0.0f);
-        const float kept = sum > rules.weight_cap ? rules.weight_cap / sum : 1.0f;
-        sum *= kept; distance *= kept; color_sum_weight *= kept; rgb = kept * rgb;
-        if (packed) {
-            voxels.packed.data[voxel + i] =
-                pack_voxel(voxel + i, distance, sum, rgb[0], rgb[1], rgb[2], color_sum_weight);
-        } else {
-            voxels.distance_sum.data[voxel + i] = distance;
-            voxels.weight.data[voxel + i] = sum;
-            voxels.color_sum.data[voxel + i] = rgb;
-            voxels.color_weight.data[voxel + i] = color_sum_weight;
+    } else {
+        for (int i = 0; i < LANES; ++i) {
+            distance[i] = voxels.distance_sum.data[voxel + i];
+            weight[i] = voxels.weight.data[voxel + i];
+            color_weight[i] = voxels.color_weight.data[voxel + i];
+            red[i] = voxels.color_sum.data[voxel + i].c[0];
+            green[i] = voxels.color_sum.data[voxel + i].c[1];
+            blue[i] = voxels.color_sum.data[voxel + i].c[2];
         }
     }
+    for (int i = 0; i < LANES; ++i) {
+        const float sum = weight[i] + rules.sign * weights[i];
+        const float color_sum = color_weight[i] + rules.sign * color_weights[i];
+        // What rounding leaves of a weight that was taken away is nothing; above the cap, all sums shrink alike.
+        const float capped = sum > rules.weight_cap ? rules.weight_cap / sum : 1.0f;
+        const float kept = sum < 1e-4f * weight[i] ? 0.0f : capped;
+        const float kept_color = color_sum < 1e-4f * color_weight[i] ? 0.0f : kept;
+        weight[i] = kept * sum;
+        distance[i] = kept * (distance[i] + rules.sign * distances[i]);
+        color_weight[i] = kept_color * color_sum;
+        red[i] = kept_color * (red[i] + rules.sign * reds[i]);
+        green[i] = kept_color * (green[i] + rules.sign * greens[i]);
+        blue[i] = kept_color * (blue[i] + rules.sign * blues[i]);
+    }
+    if (packed) {
+        for (int i = 0; i < LANES; ++i) {
+            const unsigned long long bits = pack_voxel(
+                voxel + i, distance[i], weight[i], red[i], green[i], blue[i], color_weight[i]);
+            // Untouched voxels are not rounded again.
+            voxels.packed.data[voxel + i] = weights[i] != 0.0f ? bits : voxels.packed.data[voxel + i];
+        }
+    } else {
+        for (int i = 0; i < LANES; ++i) {
+            voxels.distance_sum.data[voxel + i] = distance[i];
+            voxels.weight.data[voxel + i] = weight[i];
+            voxels.color_weight.data[voxel + i] = color_weight[i];
+            voxels.color_sum.data[voxel + i] = wp::vec3(red[i], green[i], blue[i]);
+        }
+    }
+"""
+
+# A block's voxels read a rectangle of each frame, row by row in an order that the CPU does not foresee. Asked for at
+# once, its cache lines arrive while the first rows are worked on, and not one after the other.
+_PREFETCH_IN_CPP = """
+#ifndef __CUDA_ARCH__
+    constexpr int DEPTHS_A_LINE = 64 / sizeof(depth.data[0]), COLORS_A_LINE = 16;
+    const int height = depth.shape[1], width = depth.shape[2];
+    for (unsigned int left = frame_mask; left != 0; left &= left - 1) {
+        const int frame = __builtin_ctz(left);
+        const wp::mat44 &p = pixel_from_lattice.data[frame];
+        float u_min = 1e9f, u_max = -1.0f, v_min = 1e9f, v_max = -1.0f, z_min = 1e9f;
+        for (int corner = 0; corner < 8; ++corner) {
+            const float cx = x + 7.0f * (corner & 1), cy = y + 7.0f * (corner >> 1 & 1), cz = z + 7.0f * (corner >> 2);
+            auto along = [&](int row) {
+                return p.data[row][0] * cx + p.data[row][1] * cy + p.data[row][2] * cz + p.data[row][3];
+            };
+            const float depth_z = along(2), u = along(0) / depth_z, v = along(1) / depth_z;
+            z_min = depth_z < z_min ? depth_z : z_min;
+            u_min = u < u_min ? u : u_min;
+            u_max = u > u_max ? u : u_max;
+            v_min = v < v_min ? v : v_min;
+            v_max = v > v_max ? v : v_max;
+        }
+        if (!(z_min > 0.0f)) continue;
+        const int first_u = u_min > 0.0f ? (int)u_min : 0, last_u = u_max < width - 1.0f ? (int)u_max + 1 : width - 1;
+        const int first_v = v_min > 0.0f ? (int)v_min : 0, last_v = v_max < height - 1.0f ? (int)v_max + 1 : height - 1;
+        for (int v_pixel = first_v; v_pixel <= last_v; ++v_pixel) {
+            const size_t line = ((size_t)frame * height + v_pixel) * width;
+            for (int u = first_u / DEPTHS_A_LINE * DEPTHS_A_LINE; u <= last_u; u += DEPTHS_A_LINE)
+                __builtin_prefetch(depth.data + line + u, 0, 2);
+            for (int u = first_u / COLORS_A_LINE * COLORS_A_LINE; u <= last_u; u += COLORS_A_LINE)
+                __builtin_prefetch(images.color.data + line + u, 0, 2);
+        }
+    }
+#endif
 """
 
 
@@ -190,6 +243,18 @@ def kernel(depth_type: type, *, by_voxel: bool, bilinear: bool, weighted: bool, 
         voxels: Voxels,
     ) -> None:
         """Add all frames of ``frame_mask`` to the voxels from ``voxel`` on, at lattice position (x …, y, z)."""
+
+    @wp.func_native(_PREFETCH_IN_CPP)
+    def prefetch_block(
+        frame_mask: wp.uint32,
+        x: float,
+        y: float,
+        z: float,
+        depth: wp.array3d(dtype=depth_type),
+        images: Images,
+        pixel_from_lattice: wp.array(dtype=wp.mat44),
+    ) -> None:
+        """Ask for the pixels that the block whose first voxel is (x, y, z) on the lattice projects to."""
 
     @wp.func
     def integrate(
@@ -241,6 +306,10 @@ def kernel(depth_type: type, *, by_voxel: bool, bilinear: bool, weighted: bool, 
             any_frame = any_frame | masks[number, part]
         if any_frame == wp.uint32(0):
             return
+        corner = 8 * blocks[number]
+        prefetch_block(
+            any_frame, float(corner[0]), float(corner[1]), float(corner[2]), depth, images, pixel_from_lattice
+        )
         for row in range(_ROWS):
             integrate(number, 8 * row, masks, blocks, depth, depth_scale, images, pixel_from_lattice, rules, voxels)
 
@@ -294,9 +363,8 @@ def integrate_frames(
     ``masks`` (blocks, 4) come from ``visible_blocks``; blocks beyond them are left alone. Removing what was added with
     the same options leaves the sums as they were before, to rounding.
     """
-    assert batch.color is not None, "integration takes frames with colour"
     images = Images()
-    images.color = batch.color
+    images.color = batch.rgba
     if batch.pixel_weights is not None:
         images.pixel_weights = batch.pixel_weights
     rules = Rules()

@@ -44,26 +44,25 @@ PACKING_IN_CPP = """
     auto level = [&](float average, unsigned int voxel, unsigned int weight_bits, unsigned int channel) {
         // Whole levels stay as they are.
         const float shifted = average + 0.001f + 0.998f * dither(voxel, weight_bits, channel);
-        return (unsigned long long)(shifted < 255.0f ? (shifted > 0.0f ? shifted : 0.0f) : 255.0f);
+        return (unsigned int)(shifted < 255.0f ? (shifted > 0.0f ? shifted : 0.0f) : 255.0f);
     };
+    // Without branches, so that a loop over voxels becomes vector instructions.
     auto pack_voxel = [&](unsigned int voxel, float distance_sum, float weight, float red, float green, float blue,
                           float color_weight) -> unsigned long long {
         const unsigned int weight_bits = bits_of_weight(weight);
-        if (weight_bits == 0u) return 0ull;
-        float average = 32767.0f * distance_sum / weight;
+        const bool seen = weight_bits != 0u, colored = seen & (color_weight > 0.0f);
+        const float inverse_weight = 1.0f / (seen ? weight : 1.0f), inverse = 1.0f / (colored ? color_weight : 1.0f);
+        float average = 32767.0f * distance_sum * inverse_weight;
         average = average < 32767.0f ? (average > -32767.0f ? average : -32767.0f) : 32767.0f;
         const int steps = (int)(average + (average < 0.0f ? -0.5f : 0.5f));
-        unsigned long long bits = (unsigned long long)(steps & 0xffff) | ((unsigned long long)weight_bits << 16);
-        if (color_weight > 0.0f) {
-            const float inverse = 1.0f / color_weight;
-            float share = 255.0f * color_weight / weight + 0.5f;
-            share = share < 255.0f ? (share > 1.0f ? share : 1.0f) : 255.0f;
-            bits |= level(red * inverse, voxel, weight_bits, 0u) << 32;
-            bits |= level(green * inverse, voxel, weight_bits, 1u) << 40;
-            bits |= level(blue * inverse, voxel, weight_bits, 2u) << 48;
-            bits |= (unsigned long long)share << 56;
-        }
-        return bits;
+        float share = 255.0f * color_weight * inverse_weight + 0.5f;
+        share = share < 255.0f ? (share > 1.0f ? share : 1.0f) : 255.0f;
+        const unsigned int rgb = level(red * inverse, voxel, weight_bits, 0u)
+                                 | level(green * inverse, voxel, weight_bits, 1u) << 8
+                                 | level(blue * inverse, voxel, weight_bits, 2u) << 16;
+        const unsigned int low = seen ? ((unsigned int)steps & 0xffffu) | weight_bits << 16 : 0u;
+        const unsigned int high = colored ? rgb | (unsigned int)share << 24 : 0u;
+        return (unsigned long long)low | (unsigned long long)high << 32;
     };
 """
 """C++ for the top of a native function: ``pack_voxel`` and what it is made of."""
