@@ -21,9 +21,9 @@ def scanback(frames, camera, options):
     lengths = {"voxel_size": options.voxel_size, "truncation": options.truncation}
 
     # Depth as the images store it, which is also how Open3D takes it below.
-    steps = [np.rint(f.depth / options.depth_scale).astype(np.uint16) for f in frames]
+    steps = np.stack([np.rint(f.depth / options.depth_scale).astype(np.uint16) for f in frames])
     poses = [f.world_from_camera for f in frames]
-    colors = [f.color for f in frames]
+    colors = np.stack([f.color for f in frames])
     batches = [slice(first, first + BATCH) for first in range(0, len(frames), BATCH)]
 
     def integrate():

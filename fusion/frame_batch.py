@@ -95,7 +95,8 @@ class FrameUploader:
         """Return the frames on the device; the result lives until the next call.
 
         ``depths`` are (height, width) planar, metres or steps, ``poses`` world_from_camera 4×4, ``colors``
-        (height, width, 3) RGB.
+        (height, width, 3) RGB. On the CPU, images that lie in memory one after the other, as in an array of a dimension
+        more, are not copied: they must stay as they are as long as the result is used.
         """
         if self.device.is_cuda:
             # All that reads the batch before was launched by now.
@@ -104,11 +105,18 @@ class FrameUploader:
         self._turns.append(buffers)
         if buffers.copied is not None:
             wp.synchronize_event(buffers.copied)
-        _fill(buffers, depths, poses, colors)
-        if self.device.is_cuda:
-            self._copy(buffers, with_color=colors is not None)
         count = len(depths)
         depth, camera_from_world, color = (array[:count] for array in buffers.on_device)
+        in_place = self.device.is_cpu and _are_one_array(depths) and (colors is None or _are_one_array(colors))
+        camera_from_world_rows = buffers.host[1].numpy()
+        camera_from_world_rows[:count] = [inverse(pose) for pose in poses]
+        if in_place:
+            depth = wp.array(depths, dtype=depth.dtype, device=self.device, copy=False)
+            color = None if colors is None else _as_rows(colors, self.device)
+        else:
+            _fill(buffers, depths, colors)
+        if self.device.is_cuda:
+            self._copy(buffers, with_color=colors is not None)
         return FrameBatch(
             camera=self.camera,
             depth=depth,
@@ -133,11 +141,10 @@ class FrameUploader:
 def _fill(
     buffers: _Buffers,
     depths: Sequence[NDArray[np.float32]] | Sequence[NDArray[np.uint16]],
-    poses: Sequence[Matrix],
     colors: Sequence[NDArray[np.uint8]] | None,
 ) -> None:
-    """Put frames into the host's buffers, on all cores."""
-    depth_rows, pose_rows, color_rows = (array.numpy() for array in buffers.host)
+    """Put images into the host's buffers, on all cores."""
+    depth_rows, color_rows = buffers.host[0].numpy(), buffers.host[2].numpy()
 
     def copy(i: int) -> None:
         np.copyto(depth_rows[i], depths[i], casting="no")
@@ -147,4 +154,15 @@ def _fill(
             np.copyto(color_rows[i], colors[i].reshape(color_rows[i].shape), casting="no")
 
     map_on_cores(copy, range(len(depths)))
-    pose_rows[: len(poses)] = [inverse(pose) for pose in poses]
+
+
+def _are_one_array(images: Any) -> bool:
+    """Tell whether images are one array of integers, which kernels can read where it lies."""
+    return bool(isinstance(images, np.ndarray) and images.flags.c_contiguous and images.dtype.kind == "u")
+
+
+def _as_rows(colors: Any, device: Device) -> wp.array:
+    """Return (frames, height, width, 3) as (frames, height, 3 · width), where it lies."""
+    frames, height, width, channels = colors.shape
+    rows = colors.reshape(frames, height, channels * width)
+    return wp.array(rows, dtype=wp.uint8, device=device, copy=False)

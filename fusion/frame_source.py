@@ -1,6 +1,5 @@
 """Decoding a dataset's frames on all cores: the next batch while the caller works on this one."""
 
-import contextlib
 import threading
 import time
 from collections.abc import Iterator
@@ -16,7 +15,7 @@ from datagen.dataset import Dataset
 from datagen.errors import InputError
 from datagen.images import DEPTH_INVALID_MAX
 from datagen.rigid import Matrix
-from fusion import depth_png, survey
+from fusion import survey
 from fusion.frame_batch import MAX_BATCH
 from fusion.survey import FrameSurvey
 
@@ -34,9 +33,8 @@ Color: TypeAlias = NDArray[np.uint8]
 class DecodedFrames:
     """A batch's frames as they lie on the host.
 
-    ``depths`` (height, width) uint16 planar depth in steps of the dataset's ``depth_scale``, 0 = invalid, until the
-    next batch is asked for; ``colors`` (height, width, 3) uint8 RGB, None where they were not asked for; ``poses``
-    world_from_camera.
+    ``depths`` (height, width) uint16 planar depth in steps of the dataset's ``depth_scale``, 0 = invalid; ``colors``
+    (height, width, 3) uint8 RGB, None where they were not asked for; ``poses`` world_from_camera.
     """
 
     frame_ids: tuple[int, ...]
@@ -67,12 +65,9 @@ class FrameSource:
         self._last_step = DEPTH_INVALID_MAX - 1
         if depth_max is not None:
             self._last_step = min(self._last_step, int(depth_max / dataset.depth_scale))
-        depth_png.load()
         survey.load()
         self._cache_room = CACHE_BYTES // (2 * dataset.camera.width * dataset.camera.height)
         self._cache: dict[int, Depth] = {}
-        # Images that were done with, to be filled anew: pages fresh from the system cost as much as half the decoding.
-        self._spare: list[Depth] = []
         self._lock = threading.Lock()
         self._pool = ThreadPoolExecutor(thread_name_prefix="decode")
 
@@ -86,7 +81,6 @@ class FrameSource:
         """Stop the threads, after the images that they are at, and forget what was decoded."""
         self._pool.shutdown(cancel_futures=True)
         self._cache.clear()
-        self._spare.clear()
 
     def depth_batches(self) -> Iterator[DecodedFrames]:
         """Yield all frames, without colour, batch by batch."""
@@ -114,7 +108,6 @@ class FrameSource:
                 colors=[color for _, color in images if color is not None] if with_color else None,
                 poses=[self.poses[frame_id] for frame_id in frame_ids],
             )
-            self._spare += [image[0] for i, image in zip(frame_ids, images, strict=True) if i not in self._cache]
 
     def _submit(self, frame_ids: tuple[int, ...], with_color: bool) -> list[Future[tuple[Depth, Color | None]]]:
         return [self._pool.submit(self._decode, frame_id, with_color) for frame_id in frame_ids]
@@ -130,26 +123,14 @@ class FrameSource:
     def _depth(self, frame_id: int) -> Depth:
         if frame_id in self._cache:
             return self._cache[frame_id]
-        depth = self._read_depth(frame_id)
+        depth = self.dataset.depth_steps(frame_id)
+        depth[depth > self._last_step] = 0
         if frame_id not in self.surveys:
             self.surveys[frame_id] = survey.survey_frame(
                 self.dataset.camera, depth, self.poses[frame_id], depth_scale=self.dataset.depth_scale
             )
         if len(self._cache) < self._cache_room:
             self._cache[frame_id] = depth
-        return depth
-
-    def _read_depth(self, frame_id: int) -> Depth:
-        camera, data, out = self.dataset.camera, b"", None
-        with contextlib.suppress(OSError):
-            data = self.dataset.depth_file(frame_id).read_bytes()
-        with contextlib.suppress(IndexError):
-            out = self._spare.pop()
-        depth = depth_png.decode_depth(data, size=(camera.width, camera.height), largest=self._last_step, out=out)
-        if depth is None:
-            # Whatever is wrong with the file, this says it.
-            depth = self.dataset.depth_steps(frame_id)
-            depth[depth > self._last_step] = 0
         return depth
 
 
