@@ -29,12 +29,11 @@ def scanback(frames, camera, options):
     def integrate():
         volume = Volume(device=device, max_blocks=10**6, storage=options.storage, **lengths)
         upload = FrameUploader(camera, device=device, capacity=BATCH, depth_scale=options.depth_scale)
-        for some in batches:
-            find_batch_blocks(volume.table, upload(steps[some], poses[some]), **lengths)
+        tiles = [find_batch_blocks(volume.table, upload(steps[some], poses[some]), **lengths) for some in batches]
         volume.table.sort()
         volume.reserve(volume.table.count)
-        for some in batches:
-            integrate_batch(volume, upload(steps[some], poses[some], colors[some]), Integration())
+        for some, its_tiles in zip(batches, tiles, strict=True):
+            integrate_batch(volume, upload(steps[some], poses[some], colors[some]), Integration(), tiles=its_tiles)
         return volume
 
     def extract(volume):

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from datagen.progress import ProgressReporter
 from fusion.block_table import BlockLimitError
+from fusion.depth_tiles import DepthTiles
 from fusion.devices import Device
 from fusion.frame_batch import MAX_BATCH, FrameBatch, FrameUploader
 from fusion.frame_source import FrameSource
@@ -20,6 +21,10 @@ from fusion.voxels import Storage
 
 CPU_BATCH = 16
 """On the CPU the images of a batch should stay in its cache; a GPU rather gains from visiting voxels less often."""
+
+
+TILES_BYTES = 64 << 20
+"""How much of what the allocation pass found out about the images is kept for integration."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,7 +68,7 @@ def fuse(
         storage=storage,
     )
     try:
-        _find_all_blocks(volume, source, upload, lengths, clock, progress)
+        tiles = _find_all_blocks(volume, source, upload, lengths, clock, progress)
     except BlockLimitError:
 
         def depth_batches() -> Iterator[FrameBatch]:
@@ -76,9 +81,11 @@ def fuse(
         volume.reserve(volume.table.count)
     counter = UpdateCounter(volume)
     advance = progress("integrate", len(source.frame_ids))
-    for frames in source.batches():
+    for number, frames in enumerate(source.batches()):
         with clock("integrate"):
-            counter.add(integrate_batch(volume, upload(frames.depths, frames.poses, frames.colors), integration))
+            batch = upload(frames.depths, frames.poses, frames.colors)
+            known = tiles[number] if number < len(tiles) else None
+            counter.add(integrate_batch(volume, batch, integration, tiles=known))
         for _ in frames.frame_ids:
             advance()
     return Fused(volume=volume, survey=survey, voxel_updates=counter.updates)
@@ -91,19 +98,23 @@ def _find_all_blocks(
     lengths: Lengths,
     clock: Stopwatch,
     progress: ProgressReporter,
-) -> None:
-    """Run the allocation pass over all frames; no voxel is allocated yet."""
+) -> list[DepthTiles]:
+    """Run the allocation pass over all frames; no voxel is allocated yet. Returns the tiles of the first batches."""
+    tiles: list[DepthTiles] = []
     advance = progress("allocate", len(source.frame_ids))
     for frames in source.depth_batches():
         with clock("allocate"):
             for frame_id in frames.frame_ids:
                 if least_blocks(source.surveys[frame_id], lengths) > volume.table.max_blocks:
                     raise BlockLimitError(f"frame {frame_id} alone asks for more blocks than memory allows")
-            find_batch_blocks(
+            found = find_batch_blocks(
                 volume.table,
                 upload(frames.depths, frames.poses),
                 truncation=volume.truncation,
                 voxel_size=volume.voxel_size,
             )
+            if len(tiles) < TILES_BYTES // found.ranges.capacity:
+                tiles.append(found)
         for _ in frames.frame_ids:
             advance()
+    return tiles

@@ -2,13 +2,12 @@
 
 from dataclasses import replace
 
-import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 
 from datagen.progress import ProgressReporter, silent
 from fusion import color_confidence, depth_tiles, integrate, pixel_weights
 from fusion.block_table import BlockTable
+from fusion.depth_tiles import DepthTiles
 from fusion.devices import Device, load_kernels
 from fusion.find_blocks import find_blocks
 from fusion.frame_batch import FrameBatch
@@ -40,21 +39,33 @@ def load_fusion_kernels(
     load_kernels(KERNEL_MODULES, kernels, device=device, progress=progress)
 
 
-def find_batch_blocks(
-    table: BlockTable, batch: FrameBatch, *, truncation: float, voxel_size: float
-) -> NDArray[np.int64]:
-    """Enter the blocks of the batch's truncation bands; returns how many each frame added. See ``find_blocks``."""
-    tiles = depth_tiles.depth_tiles(batch, split_beyond=2 * truncation)
+def survey_batch(batch: FrameBatch, *, truncation: float) -> DepthTiles:
+    """Return the depth tiles that finding a batch's blocks and integrating it both go by."""
+    return depth_tiles.depth_tiles(batch, split_beyond=2 * truncation)
+
+
+def find_batch_blocks(table: BlockTable, batch: FrameBatch, *, truncation: float, voxel_size: float) -> DepthTiles:
+    """Enter the blocks of the batch's truncation bands (see ``find_blocks``); returns its tiles, for integration."""
+    tiles = survey_batch(batch, truncation=truncation)
     matrices = frame_matrices(batch, voxel_size)
-    return find_blocks(table, batch, tiles, matrices, truncation=truncation, voxel_size=voxel_size)
+    find_blocks(table, batch, tiles, matrices, truncation=truncation, voxel_size=voxel_size)
+    return tiles
 
 
-def integrate_batch(volume: Volume, batch: FrameBatch, options: Integration, *, remove: bool = False) -> wp.array:
+def integrate_batch(
+    volume: Volume,
+    batch: FrameBatch,
+    options: Integration,
+    *,
+    remove: bool = False,
+    tiles: DepthTiles | None = None,
+) -> wp.array:
     """Add a batch of frames to the blocks that they see, or take it away.
 
-    Returns the frame masks (blocks, 4) of ``visible_blocks``: which parts of which blocks were gone through.
+    ``tiles`` are the batch's, where they are known already. Returns the frame masks (blocks, 4) of ``visible_blocks``:
+    which parts of which blocks were gone through.
     """
-    tiles = depth_tiles.depth_tiles(batch, split_beyond=2 * volume.truncation)
+    tiles = tiles or survey_batch(batch, truncation=volume.truncation)
     color_confidence.join_color_and_confidence(batch, step=volume.truncation)
     weights = pixel_weights.pixel_weights(batch, options.weighting, step=volume.truncation)
     matrices = frame_matrices(batch, volume.voxel_size)

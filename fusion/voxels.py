@@ -30,7 +30,7 @@ PACKING_IN_CPP = """
     };
     auto bits_of_weight = [](float weight) -> unsigned int {
         union { float f; unsigned int u; } as;
-        as.f = weight < 131000.0f ? weight : 131000.0f;
+        as.f = weight > 0.0f ? (weight < 131000.0f ? weight : 131000.0f) : 0.0f;  // −0 has bits, too
         const unsigned int rounded = as.u + 0x7ffu + ((as.u >> 12) & 1u);
         return rounded < (112u << 23) + (1u << 12) ? 0u : (rounded - (112u << 23)) >> 12;
     };
