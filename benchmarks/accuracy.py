@@ -31,14 +31,14 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from datagen.camera import PinholeCamera
 from datagen.rigid import inverse, look_at
 from fusion.devices import launch_in_slabs, resolve_device
-from fusion.evaluate import SurfaceSamples, sample_surface
-from fusion.frame_batch import FrameUploader
-from fusion.fuse_batch import find_batch_blocks, integrate_batch, load_fusion_kernels
-from fusion.integration import DepthSampling, Integration, Weighting
-from fusion.marching_cubes import marching_cubes
-from fusion.mesh import Mesh, read_mesh
-from fusion.surface_distance import closest_points
-from fusion.volume import Volume
+from fusion.evaluation.evaluate import SurfaceSamples, sample_surface
+from fusion.evaluation.surface_distance import closest_points
+from fusion.frames.frame_batch import FrameUploader
+from fusion.integration.fuse_batch import find_batch_blocks, integrate_batch, load_fusion_kernels
+from fusion.integration.options import DepthSampling, Integration, Weighting
+from fusion.surface.marching_cubes import marching_cubes
+from fusion.surface.mesh import Mesh, read_mesh
+from fusion.volume.tsdf_volume import Volume
 
 wp.set_module_options({"enable_backward": False})
 

@@ -4,12 +4,12 @@ import numpy as np
 
 from datagen.rigid import inverse
 from fusion.devices import load_kernels, resolve_device
-from fusion.frame_batch import FrameUploader
-from fusion.fuse_batch import find_batch_blocks, integrate_batch, load_fusion_kernels
-from fusion.integration import Integration
-from fusion.marching_cubes import marching_cubes
+from fusion.frames.frame_batch import FrameUploader
+from fusion.integration.fuse_batch import find_batch_blocks, integrate_batch, load_fusion_kernels
+from fusion.integration.options import Integration
 from fusion.reconstruct import KERNEL_MODULES
-from fusion.volume import Volume
+from fusion.surface.marching_cubes import marching_cubes
+from fusion.volume.tsdf_volume import Volume
 
 BATCH = 16
 

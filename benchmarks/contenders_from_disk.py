@@ -14,8 +14,8 @@ from datagen.dataset_format import frame_file
 from datagen.frame_selection import select_frames
 from datagen.rigid import inverse
 from fusion.devices import load_kernels, resolve_device
-from fusion.fuse_batch import load_fusion_kernels
-from fusion.integration import Integration
+from fusion.integration.fuse_batch import load_fusion_kernels
+from fusion.integration.options import Integration
 from fusion.reconstruct import KERNEL_MODULES, reconstruct
 from fusion.reconstruction_config import EXACT, ReconstructionConfig
 

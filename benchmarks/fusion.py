@@ -32,8 +32,8 @@ from datagen.dataset import Frame
 from datagen.frame_selection import select_frames
 from datagen.open_dataset import open_dataset
 from fusion.devices import resolve_device
-from fusion.evaluate import evaluate
-from fusion.mesh import read_mesh
+from fusion.evaluation.evaluate import evaluate
+from fusion.surface.mesh import read_mesh
 
 
 def compete(options):

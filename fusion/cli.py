@@ -15,15 +15,15 @@ from datagen.frame_selection import select_frames
 from datagen.open_dataset import open_dataset
 from datagen.progress import on_terminal
 from fusion.devices import resolve_device
-from fusion.evaluate import Observers, evaluate
-from fusion.integration import DepthSampling, Integration, Weighting
-from fusion.locate import locate
-from fusion.mesh import read_mesh
+from fusion.evaluation.evaluate import Observers, evaluate
+from fusion.integration.options import DepthSampling, Integration, Weighting
+from fusion.pose.locate import locate
 from fusion.reconstruct import reconstruct
 from fusion.reconstruction_config import ReconstructionConfig, check_length
 from fusion.reconstruction_files import RECORD_FILE, LocatedPose, ReconstructionRecord, poses_as_json, read_record
+from fusion.surface.mesh import read_mesh
+from fusion.volume.voxels import Storage
 from fusion.volume_cli import add_volume_commands
-from fusion.voxels import Storage
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

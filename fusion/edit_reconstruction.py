@@ -12,8 +12,6 @@ from datagen.atomic_write import require_writable
 from datagen.errors import InputError
 from datagen.progress import ProgressReporter, silent
 from fusion.devices import load_kernels, resolve_device
-from fusion.marching_cubes import marching_cubes
-from fusion.mesh import Mesh, write_ply
 from fusion.reconstruction_files import (
     MESH_FILE,
     POSES_FILE,
@@ -27,17 +25,19 @@ from fusion.reconstruction_files import (
     relative_to,
     write_record,
 )
-from fusion.volume import Volume
-from fusion.volume_file import load_volume, save_volume
-from fusion.volume_operations import crop, merge
-from fusion.voxel_counts import count_observed
+from fusion.surface.marching_cubes import marching_cubes
+from fusion.surface.mesh import Mesh, write_ply
+from fusion.volume.tsdf_volume import Volume
+from fusion.volume.volume_file import load_volume, save_volume
+from fusion.volume.volume_operations import crop, merge
+from fusion.volume.voxel_counts import count_observed
 
 KERNEL_MODULES = (
-    "fusion.block_table",
-    "fusion.volume_operations",
-    "fusion.cells",
-    "fusion.marching_cubes",
-    "fusion.voxel_counts",
+    "fusion.volume.block_table",
+    "fusion.volume.volume_operations",
+    "fusion.surface.cells",
+    "fusion.surface.marching_cubes",
+    "fusion.volume.voxel_counts",
 )
 
 
@@ -50,7 +50,7 @@ def crop_reconstruction(
     device: str = "auto",
     progress: ProgressReporter = silent,
 ) -> ReconstructionRecord:
-    """Write the part of a reconstruction in a box of the world (``fusion.volume_operations.crop``) as one of its own.
+    """Write the part of a reconstruction in a box of the world (``volume_operations.crop``) as one of its own.
 
     Its record has the frames and times of the whole. Raises InputError where the box is none or holds no surface.
     """
@@ -73,7 +73,7 @@ def crop_reconstruction(
 def merge_reconstructions(
     folders: Sequence[Path], out: Path, *, device: str = "auto", progress: ProgressReporter = silent
 ) -> ReconstructionRecord:
-    """Write reconstructions of different frames of one dataset as one (``fusion.volume_operations.merge``).
+    """Write reconstructions of different frames of one dataset as one (``fusion.volume.volume_operations.merge``).
 
     Times and frames in its record are those of all. Raises InputError for reconstructions of different datasets,
     cameras or voxels, and for a frame that is in two of them, which would count twice.

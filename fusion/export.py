@@ -6,14 +6,19 @@ from datagen.atomic_write import require_writable
 from datagen.errors import InputError
 from datagen.progress import ProgressReporter, silent
 from fusion.devices import load_kernels, resolve_device
-from fusion.marching_cubes import marching_cubes
-from fusion.mesh import write_ply
 from fusion.reconstruction_files import VOLUME_FILE
-from fusion.surface_points import surface_points, write_points
-from fusion.vdb_export import load_openvdb, write_vdb
-from fusion.volume_file import load_volume
+from fusion.surface.marching_cubes import marching_cubes
+from fusion.surface.mesh import write_ply
+from fusion.surface.surface_points import surface_points, write_points
+from fusion.volume.vdb_export import load_openvdb, write_vdb
+from fusion.volume.volume_file import load_volume
 
-KERNEL_MODULES = ("fusion.block_table", "fusion.cells", "fusion.marching_cubes", "fusion.vertex_normals")
+KERNEL_MODULES = (
+    "fusion.volume.block_table",
+    "fusion.surface.cells",
+    "fusion.surface.marching_cubes",
+    "fusion.surface.vertex_normals",
+)
 
 
 def export(
@@ -27,8 +32,8 @@ def export(
 ) -> str:
     """Write the volume of the reconstruction in ``folder`` to ``out``, by its suffix; returns what was written.
 
-    ``.vdb`` is the field itself (``fusion.vdb_export``). ``.ply`` is the surface with normals and colours, as a mesh or
-    as ``points``, where a voxel counts as seen if its weight is over ``min_weight``. Raises InputError for another
+    ``.vdb`` is the field itself (``vdb_export``). ``.ply`` is the surface with normals and colours, as a mesh or as
+    ``points``, where a voxel counts as seen if its weight is over ``min_weight``. Raises InputError for another
     suffix, where OpenVDB is wanted and not there, and where there is no surface.
     """
     suffix = out.suffix.lower()
@@ -44,7 +49,7 @@ def export(
     target = resolve_device(device)
     if suffix == ".vdb":
         load_openvdb()
-        load_kernels(("fusion.vdb_export",), device=target, progress=progress)
+        load_kernels(("fusion.volume.vdb_export",), device=target, progress=progress)
         volume = load_volume(folder / VOLUME_FILE, device=target)
         write_vdb(out, volume)
         return f"{volume.table.count:,} blocks"

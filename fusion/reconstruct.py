@@ -13,12 +13,11 @@ from datagen.errors import InputError
 from datagen.frame_selection import select_frames
 from datagen.progress import ProgressReporter, silent
 from fusion.devices import Device, load_kernels, resolve_device
-from fusion.evaluate import Observers, evaluate
-from fusion.frame_source import FrameSource
-from fusion.fuse import Fused, batch_size, fuse
-from fusion.fuse_batch import load_fusion_kernels
-from fusion.marching_cubes import marching_cubes
-from fusion.mesh import Mesh, read_mesh, write_ply
+from fusion.evaluation.evaluate import Observers, evaluate
+from fusion.frames.frame_source import FrameSource
+from fusion.frames.survey import SceneSurvey, combine
+from fusion.integration.fuse import Fused, batch_size, fuse
+from fusion.integration.fuse_batch import load_fusion_kernels
 from fusion.reconstruction_config import Lengths, ReconstructionConfig, choose_lengths
 from fusion.reconstruction_files import (
     MESH_FILE,
@@ -34,12 +33,13 @@ from fusion.reconstruction_files import (
     write_record,
 )
 from fusion.stopwatch import Stopwatch
-from fusion.survey import SceneSurvey, combine
-from fusion.volume import Volume
-from fusion.volume_file import save_volume
-from fusion.voxel_counts import count_observed
+from fusion.surface.marching_cubes import marching_cubes
+from fusion.surface.mesh import Mesh, read_mesh, write_ply
+from fusion.volume.tsdf_volume import Volume
+from fusion.volume.volume_file import save_volume
+from fusion.volume.voxel_counts import count_observed
 
-KERNEL_MODULES = ("fusion.voxel_counts", "fusion.cells", "fusion.marching_cubes")
+KERNEL_MODULES = ("fusion.volume.voxel_counts", "fusion.surface.cells", "fusion.surface.marching_cubes")
 
 
 @dataclass(frozen=True, kw_only=True)

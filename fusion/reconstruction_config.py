@@ -4,9 +4,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from datagen.errors import InputError
-from fusion.integration import Integration
-from fusion.survey import SceneSurvey
-from fusion.voxels import BYTES_PER_VOXEL, Storage
+from fusion.frames.survey import SceneSurvey
+from fusion.integration.options import Integration
+from fusion.volume.voxels import BYTES_PER_VOXEL, Storage
 
 EXACT = Integration(depth_sampling="bilinear", drop_off=True)
 """What leads closest to the surface: outlines do not fray, and the two sides of thin parts disturb each other less."""
@@ -23,7 +23,7 @@ class ReconstructionConfig:
     """What ``fusion reconstruct`` was asked for; None leaves a length to the data.
 
     ``voxel_size``, ``truncation`` and ``depth_max`` are metres; ``frames`` is START:STOP:STEP; ``device`` auto, cpu or
-    cuda[:N]; ``storage`` the form of the volume (``fusion.voxels``); ``integration`` how frames are sampled and
+    cuda[:N]; ``storage`` the form of the volume (``fusion.volume.voxels``); ``integration`` how frames are sampled and
     weighed; only voxels with more than ``min_weight`` are meshed. Raises InputError for a length that is not from a
     micrometre to ten kilometres, and for options that there are not.
     """

@@ -16,11 +16,16 @@ from datagen.open_dataset import open_dataset
 from datagen.progress import ProgressReporter, silent
 from datagen.rigid import Matrix, rigid
 from fusion.devices import load_kernels, resolve_device
-from fusion.ray_casting import cast_rays
 from fusion.reconstruction_files import RECORD_FILE, VOLUME_FILE, ReconstructionRecord, read_record
-from fusion.volume_file import load_volume
+from fusion.surface.ray_casting import cast_rays
+from fusion.volume.volume_file import load_volume
 
-KERNEL_MODULES = ("fusion.block_table", "fusion.cells", "fusion.surface_cells", "fusion.ray_casting")
+KERNEL_MODULES = (
+    "fusion.volume.block_table",
+    "fusion.surface.cells",
+    "fusion.surface.surface_cells",
+    "fusion.surface.ray_casting",
+)
 COLOR_FILE, DEPTH_FILE, NORMALS_FILE, VIEW_FILE = "color.png", "depth.png", "normals.png", "view.json"
 DEPTH_SCALES = (0.0001, 0.001, 0.01, 0.1)
 """Metres a step of the depth image: the finest that the view's depth fits is taken."""

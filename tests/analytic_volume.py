@@ -5,9 +5,9 @@ import itertools
 import numpy as np
 import warp as wp
 
-from fusion.block_table import BLOCK_SIDE
-from fusion.volume import Volume
-from fusion.volume_operations import to_storage
+from fusion.volume.block_table import BLOCK_SIDE
+from fusion.volume.tsdf_volume import Volume
+from fusion.volume.volume_operations import to_storage
 
 _Z, _Y, _X = np.meshgrid(*[np.arange(BLOCK_SIDE)] * 3, indexing="ij")
 IN_BLOCK = np.stack([_X, _Y, _Z], axis=-1).reshape(-1, 3)

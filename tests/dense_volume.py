@@ -5,8 +5,8 @@ import itertools
 import numpy as np
 import warp as wp
 
-from fusion.volume import ARRAYS, Volume
-from fusion.voxels import Voxels, set_sums, sums_of
+from fusion.volume.tsdf_volume import ARRAYS, Volume
+from fusion.volume.voxels import Voxels, set_sums, sums_of
 
 
 @wp.kernel

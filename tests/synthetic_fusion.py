@@ -3,12 +3,12 @@
 import numpy as np
 from synthetic_scene import CAMERA
 
-from fusion.block_table import BLOCK_VOXELS
-from fusion.frame_batch import FrameUploader
-from fusion.fuse_batch import find_batch_blocks, integrate_batch
-from fusion.integration import Integration
-from fusion.volume import Volume
-from fusion.volume_operations import to_storage
+from fusion.frames.frame_batch import FrameUploader
+from fusion.integration.fuse_batch import find_batch_blocks, integrate_batch
+from fusion.integration.options import Integration
+from fusion.volume.block_table import BLOCK_VOXELS
+from fusion.volume.tsdf_volume import Volume
+from fusion.volume.volume_operations import to_storage
 
 VOXEL_SIZE, TRUNCATION = 0.02, 0.07
 PAPER = Integration()

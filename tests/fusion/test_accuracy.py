@@ -5,13 +5,13 @@ import pytest
 from synthetic_scene import SphereScene
 
 from datagen.camera import PinholeCamera
-from fusion.evaluate import sample_surface
-from fusion.frame_batch import MAX_BATCH, FrameUploader
-from fusion.fuse_batch import find_batch_blocks, integrate_batch
-from fusion.integration import Integration
-from fusion.marching_cubes import marching_cubes
-from fusion.mesh import Mesh
-from fusion.volume import Volume
+from fusion.evaluation.evaluate import sample_surface
+from fusion.frames.frame_batch import MAX_BATCH, FrameUploader
+from fusion.integration.fuse_batch import find_batch_blocks, integrate_batch
+from fusion.integration.options import Integration
+from fusion.surface.marching_cubes import marching_cubes
+from fusion.surface.mesh import Mesh
+from fusion.volume.tsdf_volume import Volume
 
 CAMERA = PinholeCamera(width=320, height=240, fx=262.5, fy=262.5, cx=159.5, cy=119.5)
 SCENE = SphereScene(wall_z=-0.4)

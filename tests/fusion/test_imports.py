@@ -9,7 +9,7 @@ def loaded_by(statement):
 
 
 def test_fusion_loads_no_blender_and_no_renderer():
-    loaded = loaded_by("import fusion.cli, fusion.reconstruct, fusion.locate, fusion.evaluate")
+    loaded = loaded_by("import fusion.cli, fusion.reconstruct, fusion.pose.locate, fusion.evaluation.evaluate")
     assert "warp" in loaded
     assert "bpy" not in loaded
     assert not any(name.startswith(("datagen.blender", "blender_addon")) for name in loaded)

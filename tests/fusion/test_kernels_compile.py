@@ -8,15 +8,17 @@ import pytest
 import warp as wp
 
 import fusion
-from fusion import color_confidence, depth_tiles, integrate, pixel_weights
 from fusion.devices import resolve_device
+from fusion.frames import color_confidence, depth_tiles, pixel_weights
+from fusion.integration import integrate
 
 ARCHITECTURES = [75, 80, 90]
 
 
 def kernel_modules():
     resolve_device("cpu")
-    names = [f"fusion.{info.name}" for info in pkgutil.iter_modules(fusion.__path__) if info.name != "__main__"]
+    found = pkgutil.walk_packages(fusion.__path__, "fusion.")
+    names = [info.name for info in found if not info.name.endswith("__main__")]
     modules = [importlib.import_module(name) for name in names]
     return [m for m in modules if any(isinstance(value, wp.Kernel) for value in vars(m).values())]
 
@@ -30,7 +32,7 @@ def kernels_made_to_measure():
             options = {"bilinear": bilinear, "weighted": weighted, "drop_off": drop_off}
             asked = "-".join(name for name, value in options.items() if value)
             kernel = integrate.kernel(depth_type, by_voxel=True, **options)
-            yield pytest.param(kernel, id=f"fusion.integrate-{depth_type.__name__}-{asked or 'paper'}")
+            yield pytest.param(kernel, id=f"fusion.integration.integrate-{depth_type.__name__}-{asked or 'paper'}")
 
 
 def compile_for(module, architecture, folder):
@@ -40,7 +42,12 @@ def compile_for(module, architecture, folder):
 
 def test_there_are_kernels_to_compile():
     found = {module.__name__ for module in kernel_modules()}
-    assert {"fusion.block_table", "fusion.find_blocks", "fusion.visible_blocks", "fusion.marching_cubes"} <= found
+    assert {
+        "fusion.volume.block_table",
+        "fusion.integration.find_blocks",
+        "fusion.integration.visible_blocks",
+        "fusion.surface.marching_cubes",
+    } <= found
 
 
 @pytest.mark.parametrize("module", kernel_modules(), ids=lambda module: module.__name__)

@@ -7,8 +7,8 @@ from synthetic_scene import SphereScene, icosphere, write_dataset
 
 from datagen.errors import InputError
 from datagen.open_dataset import open_dataset
-from fusion import volume_memory
-from fusion.locate import locate
+from fusion.integration import volume_memory
+from fusion.pose.locate import locate
 from fusion.reconstruct import reconstruct
 from fusion.reconstruction_config import ReconstructionConfig
 from fusion.reconstruction_files import read_record

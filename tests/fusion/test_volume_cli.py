@@ -8,9 +8,9 @@ import trimesh
 from synthetic_scene import CAMERA, DEPTH_SCALE, SphereScene, write_dataset
 
 from datagen.images import read_color, read_depth
-from fusion import vdb_export
 from fusion.cli import main
 from fusion.render import resized
+from fusion.volume import vdb_export
 
 SCENE = SphereScene()
 

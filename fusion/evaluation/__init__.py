@@ -1,0 +1,1 @@
+"""How close a surface is to the truth."""

@@ -1,0 +1,1 @@
+"""Posed frames: read, carried to a device, and what is found out about their pixels."""

@@ -1,0 +1,1 @@
+"""From frames to a volume, all at once or live."""

@@ -1,0 +1,1 @@
+"""From a volume to surfaces: marching cubes, points, ray casting."""

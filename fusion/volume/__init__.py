@@ -1,0 +1,1 @@
+"""The block-sparse volume: its storage, files and operations."""

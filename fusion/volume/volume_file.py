@@ -1,0 +1,85 @@
+"""Volumes on disk: a zip of plain arrays (NumPy's .npz, read without pickle).
+
+Version 2 holds ``version`` (), ``storage`` () "packed" or "full", ``voxel_size`` () and ``truncation`` () in metres,
+``blocks`` (n, 3) int32, and for the 512 n voxels, in the order that ``Volume`` describes, the arrays of that storage:
+``packed`` (512 n) uint64, laid out as ``voxels.py`` describes; or, all float32, ``distance_sum``, ``weight``,
+``color_weight`` (512 n) and ``color_sum`` (512 n, 3). The zip's checksums tell a damaged file.
+"""
+
+import zipfile
+import zlib
+from pathlib import Path
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from datagen.atomic_write import replacing
+from datagen.errors import InputError
+from fusion.devices import Device
+from fusion.volume.block_table import BLOCK_VOXELS
+from fusion.volume.tsdf_volume import ARRAYS, Volume
+from fusion.volume.voxels import Storage
+
+VERSION = 2
+
+
+def save_volume(path: Path, volume: Volume) -> None:
+    """Write a volume atomically."""
+    count = volume.table.count
+    arrays = {name: array.numpy()[: count * BLOCK_VOXELS] for name, array in volume.arrays().items()}
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        np.savez(
+            file,
+            version=VERSION,
+            storage=volume.storage,
+            voxel_size=volume.voxel_size,
+            truncation=volume.truncation,
+            blocks=volume.table.blocks.numpy()[:count],
+            **arrays,
+        )
+
+
+def load_volume(path: Path, *, device: Device) -> Volume:
+    """Read a volume; raises InputError where the file is missing, damaged, or of another version."""
+    try:
+        # Opened here, since NumPy leaves a file that it cannot read open.
+        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        version = int(arrays["version"])
+        if version != VERSION:
+            raise InputError(f"{path}: a volume of version {version}, expected {VERSION}; reconstruct it again")
+        blocks = arrays["blocks"].astype(np.int32).reshape(-1, 3)
+        volume = Volume(
+            voxel_size=float(arrays["voxel_size"]),
+            truncation=float(arrays["truncation"]),
+            device=device,
+            max_blocks=len(blocks),
+            storage=_storage(str(arrays["storage"])),
+        )
+        sums = {name: _voxels(arrays.pop(name), dtype, len(blocks)) for name, dtype in ARRAYS[volume.storage].items()}
+    except FileNotFoundError:
+        raise InputError(f"{path}: the file is missing; reconstruct it again") from None
+    except (OSError, EOFError, KeyError, AttributeError, ValueError, zipfile.BadZipFile, zlib.error) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{path}: damaged, or not a volume ({error}); reconstruct it again") from error
+    volume.table.adopt(blocks)
+    for name, dtype in ARRAYS[volume.storage].items():
+        # The arrays that were read become the volume's own, so that it is never in memory twice.
+        setattr(volume.voxels, name, wp.array(sums.pop(name), dtype=dtype, device=device, copy=False))
+    return volume
+
+
+def _storage(name: str) -> Storage:
+    if name not in ARRAYS:
+        raise ValueError(f"unknown storage {name!r}")
+    return name
+
+
+def _voxels(array: NDArray, dtype: type, blocks: int) -> NDArray:
+    """Return an array that was read in the shape and type that a volume takes."""
+    if dtype is wp.uint64:
+        return array.astype(np.uint64, copy=False).reshape(blocks * BLOCK_VOXELS)
+    tail = (3,) if dtype is wp.vec3 else ()
+    return array.astype(np.float32, copy=False).reshape(blocks * BLOCK_VOXELS, *tail)

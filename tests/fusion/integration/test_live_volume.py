@@ -1,0 +1,168 @@
+import dataclasses
+
+import numpy as np
+import pytest
+from synthetic_fusion import TRUNCATION, VOXEL_SIZE, by_block, fuse
+from synthetic_scene import CAMERA, SphereScene
+
+from datagen.camera import PinholeCamera
+from datagen.errors import InputError
+from datagen.rigid import look_at
+from fusion.integration.live_volume import LiveVolume
+from fusion.integration.options import Integration
+from fusion.surface.marching_cubes import marching_cubes
+from fusion.surface.mesh_pieces import weld
+from fusion.volume.block_table import BlockLimitError
+
+
+@pytest.fixture(scope="module")
+def frames():
+    return SphereScene(wall_z=-0.4).frames_around(7)
+
+
+@pytest.fixture
+def live(device):
+    def make(**options):
+        lengths = {"voxel_size": VOXEL_SIZE, "truncation": TRUNCATION}
+        return LiveVolume(CAMERA, device=str(device.alias), **(lengths | options))
+
+    return make
+
+
+def integrate_now(volume, frame):
+    volume.integrate(frame)
+    volume.finish()
+
+
+def test_in_blocks_that_were_there_it_is_one_pass_over_all_frames(device, live, frames):
+    volume = live()
+    for frame in frames:
+        volume.integrate(frame)
+    # The second time round all blocks are there; the first is taken away again.
+    copies = [dataclasses.replace(frame, frame_id=100 + frame.frame_id) for frame in frames]
+    for frame in copies:
+        volume.integrate(frame)
+    for frame in frames:
+        volume.remove(frame)
+    expected, streamed = by_block(fuse(frames, device)), by_block(volume.volume)
+    assert streamed.keys() == expected.keys()
+    for block, sums in streamed.items():
+        np.testing.assert_allclose(sums, expected[block], rtol=1e-5, atol=2e-3)
+        np.testing.assert_array_equal(sums[:, 1], expected[block][:, 1])
+
+
+def test_blocks_found_later_miss_only_free_space(device, live, frames):
+    volume = live()
+    for frame in frames:
+        volume.integrate(frame)
+    expected, streamed = by_block(fuse(frames, device)), by_block(volume.volume)
+    assert streamed.keys() == expected.keys()
+    missing = 0
+    for block, sums in streamed.items():
+        lacks = expected[block][:, 1] - sums[:, 1]
+        np.testing.assert_allclose(expected[block][:, 0] - sums[:, 0], lacks, atol=1e-4)
+        missing += (lacks > 0).sum()
+    assert missing > 0
+
+
+def test_a_growing_table_loses_no_block(device, frames, monkeypatch):
+    monkeypatch.setattr("fusion.integration.live_volume._FIRST_CAPACITY", 64)
+    volume = LiveVolume(CAMERA, voxel_size=VOXEL_SIZE, truncation=TRUNCATION, device=str(device.alias))
+    ample = fuse(frames, device)
+    for frame in frames:
+        volume.integrate(frame)
+    assert by_block(volume.volume).keys() == by_block(ample).keys()
+    for frame in frames:
+        volume.remove(frame)
+    assert all(sums[:, 1].max() == 0 for sums in by_block(volume.volume).values())
+
+
+def test_pieces_of_what_changed_make_up_the_mesh(live, frames):
+    volume, pieces = live(), {}
+    sizes = []
+    for frame in frames:
+        volume.integrate(frame)
+        changes = volume.mesh_changes()
+        sizes.append(len(changes))
+        pieces |= changes
+        whole = volume.mesh()
+        welded = weld(pieces[number] for number in sorted(pieces) if pieces[number] is not None)
+        np.testing.assert_array_equal(welded.vertices, whole.vertices)
+        np.testing.assert_array_equal(welded.triangles, whole.triangles)
+    assert volume.mesh_changes() == {}
+    assert marching_cubes(volume.volume).triangles.shape == volume.mesh().triangles.shape
+
+
+def test_a_small_view_changes_few_blocks(live):
+    scene = SphereScene(wall_z=-0.4)
+    volume = live()
+    for frame in scene.frames_around(5):
+        volume.integrate(frame)
+    all_blocks = len(volume.mesh_changes())
+    part = scene.frame(99, look_at(np.array([0.3, 0.4, 0.9]), np.array(scene.centre)))
+    depth = part.depth.copy()
+    depth[:, 60:] = 0
+    volume.integrate(dataclasses.replace(part, depth=depth))
+    assert 0 < len(volume.mesh_changes()) < all_blocks / 2
+
+
+def test_frames_that_do_not_fit_are_refused_and_leave_no_trace(live, frames):
+    volume = live()
+    volume.integrate(frames[0])
+    before = by_block(volume.volume)
+    other = PinholeCamera(width=80, height=60, fx=80.0, fy=80.0, cx=40.0, cy=30.0)
+    small = SphereScene().frame(5, frames[1].world_from_camera, other)
+    skewed = frames[1].world_from_camera.copy()
+    skewed[0, 0] += 0.3
+    far = np.full_like(frames[1].depth, 1e10)
+    for frame, message in (
+        (frames[0], "frame 0 is in the volume already"),
+        (small, r"frame 5: its depth is 80×60, the camera 160×120"),
+        (dataclasses.replace(frames[1], world_from_camera=skewed), "frame 1: .*rotation"),
+        (dataclasses.replace(frames[2], depth=far), r"frame 2: a surface is more than .*; the frame was left out"),
+    ):
+        with pytest.raises(InputError, match=message):
+            integrate_now(volume, frame)
+    with pytest.raises(InputError, match="frame 3 is not in the volume"):
+        volume.remove(frames[3])
+    assert volume.frame_ids == (0,)
+    after = by_block(volume.volume)
+    for block, sums in before.items():
+        np.testing.assert_allclose(after[block], sums, rtol=1e-5, atol=1e-5)
+
+
+def test_a_frame_that_asks_for_too_much_is_named_and_left_out(device, live, frames):
+    volume = live(max_blocks=600)
+    near = dataclasses.replace(frames[0], depth=np.where(frames[0].depth < 1.0, frames[0].depth, 0))
+    volume.integrate(near)
+    before = by_block(volume.volume)
+    wall = dataclasses.replace(frames[1], frame_id=17, depth=np.full_like(frames[1].depth, 6.0))
+    with pytest.raises(BlockLimitError, match=r"frame 17: the volume needs more than the 600 blocks.*left out"):
+        integrate_now(volume, wall)
+    after = by_block(volume.volume)
+    assert volume.frame_ids == (0,)
+    for block, sums in after.items():
+        np.testing.assert_allclose(sums, before.get(block, np.zeros_like(sums)), rtol=1e-5, atol=1e-5)
+    # What it asked for and did not get is not taken for granted later.
+    with pytest.raises(BlockLimitError, match="frame 18"):
+        integrate_now(volume, dataclasses.replace(wall, frame_id=18))
+
+
+def test_pixels_without_a_finite_depth_count_as_invalid(device, live, frames):
+    spoilt = frames[0].depth.copy()
+    spoilt[::7, ::5], spoilt[1::7, ::5], spoilt[2::7, ::5] = np.nan, np.inf, -np.inf
+    holes = np.where(np.isfinite(spoilt), spoilt, 0)
+    volumes = [live(), live()]
+    for volume, depth in zip(volumes, (spoilt, holes), strict=True):
+        volume.integrate(dataclasses.replace(frames[0], depth=depth))
+    one, other = (by_block(volume.volume) for volume in volumes)
+    assert one.keys() == other.keys()
+    for block, sums in one.items():
+        np.testing.assert_array_equal(sums, other[block])
+
+
+def test_capped_weights_cannot_be_taken_away(live, frames):
+    volume = live(integration=Integration(weight_cap=3.0))
+    volume.integrate(frames[0])
+    with pytest.raises(InputError, match="weights are capped"):
+        volume.remove(frames[0])
