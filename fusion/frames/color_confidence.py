@@ -14,13 +14,12 @@ from fusion.frames.frame_batch import FrameBatch
 
 # A pixel is at an edge where the 3×3 pixels around it span more than the step, or one of them has no depth. On the CPU
 # a thread has a row of the image, whose inner pixels become vector lanes; on CUDA it has one pixel.
-_JOIN_IN_CPP = """
+_JUDGE_IN_CPP = """
     const int height = depth.shape[1], width = depth.shape[2];
     const T *here = depth.data + ((size_t)frame * height + v) * width;
     const T *above = v > 0 ? here - width : here, *below = v < height - 1 ? here + width : here;
-    const unsigned char *rgb = color.data + ((size_t)frame * height + v) * 3 * width;
-    unsigned int *out = rgba.data + ((size_t)frame * height + v) * width;
-    auto join = [&](int u, int before, int after) {
+    unsigned char *out = confidence.data + ((size_t)frame * height + v) * width;
+    auto judge = [&](int u, int before, int after) {
         T low = here[u], high = here[u];
         auto look = [&](T z) { low = z < low ? z : low; high = z > high ? z : high; };
         look(here[before]); look(here[after]);
@@ -28,14 +27,13 @@ _JOIN_IN_CPP = """
         look(below[before]); look(below[u]); look(below[after]);
         const T span = high - low;
         const bool edge = !(low > (T)0) | !(span <= step);
-        const unsigned int confidence = edge ? 1u : 255u;
-        out[u] = rgb[3 * u] | rgb[3 * u + 1] << 8 | rgb[3 * u + 2] << 16 | confidence << 24;
+        out[u] = edge ? 1 : 255;
     };
     const int end = u0 + count;
     int u = u0;
-    if (u == 0) { join(0, 0, width > 1 ? 1 : 0); ++u; }
-    for (; u < end && u < width - 1; ++u) join(u, u - 1, u + 1);
-    if (u < end) join(u, u - 1, u);
+    if (u == 0) { judge(0, 0, width > 1 ? 1 : 0); ++u; }
+    for (; u < end && u < width - 1; ++u) judge(u, u - 1, u + 1);
+    if (u < end) judge(u, u - 1, u);
 """
 
 
@@ -44,45 +42,42 @@ def kernel(depth_type: type) -> Kernel:
     """Return the kernel for depth of a type, uint16 or float32; its threads take ``count`` pixels of a row each."""
     declared = f"typedef {'unsigned short' if depth_type is wp.uint16 else 'float'} T; const T step = (T)largest_step;"
 
-    @wp.func_native(declared + _JOIN_IN_CPP)
-    def join_pixels(
+    @wp.func_native(declared + _JUDGE_IN_CPP)
+    def judge_pixels(
         frame: int,
         v: int,
         u0: int,
         count: int,
         depth: wp.array3d(dtype=depth_type),
         largest_step: float,
-        color: wp.array3d(dtype=wp.uint8),
-        rgba: wp.array3d(dtype=wp.uint32),
+        confidence: wp.array3d(dtype=wp.uint8),
     ) -> None:
-        """Join colour and confidence of ``count`` pixels of a row."""
+        """Write the confidence of ``count`` pixels of a row."""
 
     @wp.kernel(module="unique", enable_backward=False)
-    def join_colors(
+    def judge_rows(
         first: int,
         count: int,
         depth: wp.array3d(dtype=depth_type),
         largest_step: float,
-        color: wp.array3d(dtype=wp.uint8),
-        rgba: wp.array3d(dtype=wp.uint32),
+        confidence: wp.array3d(dtype=wp.uint8),
     ) -> None:
         parts = depth.shape[2] / count
         row = (wp.tid() + first) / parts
         part = wp.tid() + first - row * parts
-        join_pixels(row / depth.shape[1], row % depth.shape[1], part * count, count, depth, largest_step, color, rgba)
+        judge_pixels(row / depth.shape[1], row % depth.shape[1], part * count, count, depth, largest_step, confidence)
 
-    return join_colors
+    return judge_rows
 
 
-def join_color_and_confidence(batch: FrameBatch, *, step: float) -> None:
-    """Fill in ``batch.rgba``: colours, less sure where depth changes by more than ``step`` metres or ends."""
-    assert batch.color is not None, "integration takes frames with colour"
+def judge_colors(batch: FrameBatch, *, step: float) -> None:
+    """Fill in ``batch.confidence``: 1 where depth changes by more than ``step`` metres or ends, 255 elsewhere."""
     camera, device = batch.camera, batch.depth.device
     count = 1 if device.is_cuda else camera.width
     launch_in_slabs(
         kernel(batch.depth.dtype),
         dim=batch.depth.size // count,
-        inputs=[count, batch.depth, min(step / batch.depth_scale, 65535.0), batch.color],
-        outputs=[batch.rgba],
+        inputs=[count, batch.depth, min(step / batch.depth_scale, 65535.0)],
+        outputs=[batch.confidence],
         device=device,
     )

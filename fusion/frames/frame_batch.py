@@ -22,8 +22,8 @@ class FrameBatch:
 
     ``depth`` (frames, height, width) planar, 0 = invalid, in steps of ``depth_scale`` metres: uint16 as images store
     it, or float32 metres, then ``depth_scale`` is 1. ``color`` (frames, height, 3 · width) uint8, RGB, or None for
-    depth alone; ``rgba`` (frames, height, width) uint32 is room for the same with its confidence in the highest byte,
-    red in the lowest (``color_confidence``); ``pixel_weights`` (frames, height, width) float32, None
+    depth alone; ``confidence`` (frames, height, width) uint8 is room for that of the colours (``color_confidence``);
+    ``pixel_weights`` (frames, height, width) float32, None
     where all are 1; ``camera_from_world`` (frames,) mat44d.
     """
 
@@ -31,7 +31,7 @@ class FrameBatch:
     depth: wp.array
     depth_scale: float
     color: wp.array | None
-    rgba: wp.array
+    confidence: wp.array
     camera_from_world: wp.array
     pixel_weights: wp.array | None = None
 
@@ -54,7 +54,7 @@ class _Buffers:
             wp.empty(capacity, dtype=wp.mat44d, device="cpu", pinned=pinned),
             wp.empty((capacity, camera.height, 3 * camera.width), dtype=wp.uint8, device="cpu", pinned=pinned),
         )
-        self.rgba = wp.empty(shape, dtype=wp.uint32, device=device)
+        self.confidence = wp.empty(shape, dtype=wp.uint8, device=device)
         self.on_device = tuple(wp.empty_like(array, device=device) for array in self.host) if pinned else self.host
         self.copied: Any = None
         self.released: Any = None
@@ -122,7 +122,7 @@ class FrameUploader:
             depth=depth,
             depth_scale=self.depth_scale,
             color=None if colors is None else color,
-            rgba=buffers.rgba[:count],
+            confidence=buffers.confidence[:count],
             camera_from_world=camera_from_world,
         )
 

@@ -67,7 +67,7 @@ def integrate_batch(
     which parts of which blocks were gone through.
     """
     tiles = tiles or survey_batch(batch, truncation=volume.truncation)
-    color_confidence.join_color_and_confidence(batch, step=volume.truncation)
+    color_confidence.judge_colors(batch, step=volume.truncation)
     weights = pixel_weights.pixel_weights(batch, options.weighting, step=volume.truncation)
     matrices = frame_matrices(batch, volume.voxel_size)
     masks = visible_blocks(volume.table, batch, tiles, matrices, truncation=volume.truncation)

@@ -49,7 +49,7 @@ _LANES_IN_CPP = """
         const float z0 = p.data[2][0] * x + p.data[2][1] * y + p.data[2][2] * z + p.data[2][3];
         const size_t image = (size_t)frame * height * width;
         const auto *depths = depth.data + image;
-        const unsigned int *colors = images.color.data + image;
+        const unsigned char *colors = images.color.data + 3 * image, *confidence = images.confidence.data + image;
         float u[LANES], v[LANES], d[LANES], z_voxel[LANES], z_pixel[LANES];
         int seen[LANES], near[LANES], pixel[LANES], any_seen = 0, any_near = 0;
         for (int i = 0; i < LANES; ++i) {
@@ -101,11 +101,15 @@ _LANES_IN_CPP = """
         if (!any_near) continue;
         for (int i = 0; i < LANES; ++i) {
             // Loaded whether near or not: a branch for each lane would cost more.
-            const unsigned int rgba = colors[near[i] ? pixel[i] : 0];
-            const float w_color = near[i] ? w_new[i] * ((float)(rgba >> 24) * (1.0f / 255.0f)) : 0.0f;
-            reds[i] += w_color * (float)(rgba & 255u);
-            greens[i] += w_color * (float)((rgba >> 8) & 255u);
-            blues[i] += w_color * (float)((rgba >> 16) & 255u);
+            const int at = near[i] ? pixel[i] : 0;
+            // Four bytes at once, of which the first is the pixel before's: a fourth one after the last there is not.
+            unsigned int rgb;
+            memcpy(&rgb, colors + 3 * at - (at > 0), 4);
+            rgb >>= at > 0 ? 8 : 0;
+            const float w_color = near[i] ? w_new[i] * ((float)confidence[at] * (1.0f / 255.0f)) : 0.0f;
+            reds[i] += w_color * (float)(rgb & 255u);
+            greens[i] += w_color * (float)((rgb >> 8) & 255u);
+            blues[i] += w_color * (float)((rgb >> 16) & 255u);
             color_weights[i] += w_color;
         }
     }
@@ -168,7 +172,7 @@ _LANES_IN_CPP = """
 # once, its cache lines arrive while the first rows are worked on, and not one after the other.
 _PREFETCH_IN_CPP = """
 #ifndef __CUDA_ARCH__
-    constexpr int DEPTHS_A_LINE = 64 / sizeof(depth.data[0]), COLORS_A_LINE = 16;
+    constexpr int DEPTHS_A_LINE = 64 / sizeof(depth.data[0]);
     const int height = depth.shape[1], width = depth.shape[2];
     for (unsigned int left = frame_mask; left != 0; left &= left - 1) {
         const int frame = __builtin_ctz(left);
@@ -193,8 +197,10 @@ _PREFETCH_IN_CPP = """
             const size_t line = ((size_t)frame * height + v_pixel) * width;
             for (int u = first_u / DEPTHS_A_LINE * DEPTHS_A_LINE; u <= last_u; u += DEPTHS_A_LINE)
                 __builtin_prefetch(depth.data + line + u, 0, 2);
-            for (int u = first_u / COLORS_A_LINE * COLORS_A_LINE; u <= last_u; u += COLORS_A_LINE)
-                __builtin_prefetch(images.color.data + line + u, 0, 2);
+            for (size_t at = 3 * (line + first_u) / 64 * 64; at <= 3 * (line + last_u) + 2; at += 64)
+                __builtin_prefetch(images.color.data + at, 0, 2);
+            for (size_t at = (line + first_u) / 64 * 64; at <= line + last_u; at += 64)
+                __builtin_prefetch(images.confidence.data + at, 0, 2);
         }
     }
 #endif
@@ -203,12 +209,14 @@ _PREFETCH_IN_CPP = """
 
 @wp.struct
 class Images:
-    """What the frames show besides depth, each (frames, height, width).
+    """What the frames show besides depth.
 
-    ``color`` has the colour's confidence in its highest byte; ``pixel_weights`` is empty where all are 1.
+    ``color`` (frames, height, 3 · width) RGB; ``confidence`` of the colours and ``pixel_weights`` (frames, height,
+    width), the latter empty where all are 1.
     """
 
-    color: wp.array3d(dtype=wp.uint32)
+    color: wp.array3d(dtype=wp.uint8)
+    confidence: wp.array3d(dtype=wp.uint8)
     pixel_weights: wp.array3d(dtype=float)
 
 
@@ -364,7 +372,9 @@ def integrate_frames(
     the same options leaves the sums as they were before, to rounding.
     """
     images = Images()
-    images.color = batch.rgba
+    assert batch.color is not None, "integration takes frames with colour"
+    images.color = batch.color
+    images.confidence = batch.confidence
     if batch.pixel_weights is not None:
         images.pixel_weights = batch.pixel_weights
     rules = Rules()

@@ -249,7 +249,7 @@ class LiveVolume:
         volume, truncation = self.volume, self.volume.truncation
         tiles = tiles or depth_tiles.depth_tiles(batch, split_beyond=2 * truncation)
         matrices = frame_matrices(batch, volume.voxel_size)
-        color_confidence.join_color_and_confidence(batch, step=truncation)
+        color_confidence.judge_colors(batch, step=truncation)
         weights = pixel_weights.pixel_weights(batch, self.integration.weighting, step=truncation)
         weighed = replace(batch, pixel_weights=weights)
         masks = visible_blocks(volume.table, batch, tiles, matrices, truncation=truncation, blocks=blocks)
