@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from datagen.atomic_write import require_writable
 from datagen.errors import InputError
 from datagen.progress import ProgressReporter, silent
 from fusion.devices import load_kernels, resolve_device
+from fusion.reconstruction_config import ReconstructionConfig
 from fusion.reconstruction_files import (
     MESH_FILE,
     POSES_FILE,
@@ -59,7 +61,7 @@ def crop_reconstruction(
     target = resolve_device(device)
     load_kernels(KERNEL_MODULES, device=target, progress=progress)
     volume = crop(load_volume(folder / VOLUME_FILE, device=target), low, high)
-    mesh = _mesh(volume, f"--low {_listed(low)} --high {_listed(high)}: the volume has blocks in this box")
+    mesh = _mesh(volume, record, f"--low {_listed(low)} --high {_listed(high)}: the volume has blocks in this box")
     bounds = (np.maximum(record.bounds_m[0], low).tolist(), np.minimum(record.bounds_m[1], high).tolist())
     changed = {
         "dataset": relative_to(out, folder / record.dataset),
@@ -85,7 +87,7 @@ def merge_reconstructions(
     target = resolve_device(device)
     load_kernels(KERNEL_MODULES, device=target, progress=progress)
     volume = merge([load_volume(folder / VOLUME_FILE, device=target) for folder in folders])
-    mesh = _mesh(volume, f"{out}: the merged volume has blocks")
+    mesh = _mesh(volume, records[0], f"{out}: the merged volume has blocks")
     return _write(out, volume, mesh, record.model_copy(update=_sizes(volume, mesh)))
 
 
@@ -125,6 +127,19 @@ def _require_disjoint(folders: Sequence[Path], records: Sequence[ReconstructionR
                 f"{folder}: of the dataset {dataset}, and {folders[0]} of {datasets[0]}; "
                 "only reconstructions of one dataset are merged, since their poses must be in one world frame"
             )
+        for option, value in _fused_with(record).items():
+            if value != _fused_with(records[0])[option]:
+                raise InputError(
+                    f"{folder}: fused with {option} {value}, and {folders[0]} with {_fused_with(records[0])[option]}; "
+                    "only what was fused alike adds up"
+                )
+        if record.voxel_size_m != records[0].voxel_size_m or record.truncation_m != records[0].truncation_m:
+            raise InputError(
+                f"{folder}: voxels of {record.voxel_size_m:g} m with a truncation of {record.truncation_m:g} m, and "
+                f"{folders[0]} {records[0].voxel_size_m:g} and {records[0].truncation_m:g} m; only equal ones fit"
+            )
+        if _fused_with(record)["weight_cap"] is not None:
+            raise InputError(f"{folder}: its weights are capped, so they do not add up; fuse without --weight-cap")
         for frame in record.trajectory:
             if frame.frame in fused_in:
                 raise InputError(
@@ -134,6 +149,15 @@ def _require_disjoint(folders: Sequence[Path], records: Sequence[ReconstructionR
             fused_in[frame.frame] = folder
 
 
+def _fused_with(record: ReconstructionRecord) -> dict[str, Any]:
+    """Return how a reconstruction's frames were weighed; of a merged one, how all of its parts were."""
+    config = record.config
+    while "merged" in config:
+        config = config["merged"][0]
+    defaults = asdict(ReconstructionConfig())
+    return {"min_weight": config.get("min_weight", 0.0)} | (config.get("integration") or defaults["integration"])
+
+
 def _require_new(out: Path, folders: Sequence[Path]) -> None:
     """Raise InputError unless ``out`` can be written without touching what is read."""
     if out.resolve() in [folder.resolve() for folder in folders]:
@@ -141,8 +165,8 @@ def _require_new(out: Path, folders: Sequence[Path]) -> None:
     require_writable(out)
 
 
-def _mesh(volume: Volume, found: str) -> Mesh:
-    mesh = marching_cubes(volume)
+def _mesh(volume: Volume, record: ReconstructionRecord, found: str) -> Mesh:
+    mesh = marching_cubes(volume, min_weight=_fused_with(record)["min_weight"])
     if len(mesh.triangles) == 0:
         raise InputError(f"{found}, but no surface; nothing was written")
     return mesh

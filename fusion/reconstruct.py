@@ -111,7 +111,7 @@ def _mesh(
     if len(mesh.triangles) == 0:
         raise InputError(
             f"{dataset.folder}: the frames make no surface at a voxel size of {volume.voxel_size:g} m; "
-            "try a smaller --voxel-size, and check the depth with datagen info"
+            "try a smaller --voxel-size or --min-weight, and check the depth with datagen info"
         )
     return mesh
 

@@ -27,6 +27,7 @@ KERNEL_MODULES = (
     "fusion.surface.ray_casting",
 )
 COLOR_FILE, DEPTH_FILE, NORMALS_FILE, VIEW_FILE = "color.png", "depth.png", "normals.png", "view.json"
+LARGEST_SIDE = 8192
 DEPTH_SCALES = (0.0001, 0.001, 0.01, 0.1)
 """Metres a step of the depth image: the finest that the view's depth fits is taken."""
 
@@ -51,6 +52,8 @@ def render(
     pose = _pose_of(folder, record, frame) if world_from_camera is None else world_from_camera
     camera = PinholeCamera(**record.camera.model_dump())
     if size is not None:
+        if max(size) > LARGEST_SIDE:
+            raise InputError(f"--size {size[0]}x{size[1]}: expected at most {LARGEST_SIDE} pixels a side")
         camera = resized(camera, size)
     require_writable(out)
     target = resolve_device(device)

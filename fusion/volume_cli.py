@@ -7,8 +7,6 @@ import re
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-
 from datagen.dataset import read_pose
 from datagen.progress import on_terminal
 from fusion.edit_reconstruction import crop_reconstruction, merge_reconstructions
@@ -42,6 +40,9 @@ def add_volume_commands(commands: Any) -> None:
         text = "a corner of the box, metres; _ for no bound along an axis, as in --low _ _ 0.05"
         command.add_argument(option, type=_bound, nargs=3, default=[None] * 3, metavar=("X", "Y", "Z"), help=text)
     command.set_defaults(run=_crop)
+
+    # argparse takes -1e-3 for an option; this is its own switch for what is a number.
+    command._negative_number_matcher = re.compile(r"^-(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$")
 
     command = commands.add_parser("merge", help="make one of reconstructions from different frames of a dataset")
     command.add_argument("reconstructions", type=Path, nargs="+", help="folders that fusion reconstruct wrote")
@@ -108,8 +109,7 @@ def _print_record(options: argparse.Namespace, record: ReconstructionRecord) -> 
 
 
 def _print(options: argparse.Namespace, value: dict[str, Any], text: str) -> None:
-    console = Console(soft_wrap=True, highlight=False)
-    console.print(json.dumps(value, indent=2, allow_nan=False) if options.json else text, markup=False)
+    print(json.dumps(value, indent=2, allow_nan=False) if options.json else text)
 
 
 def _size(text: str) -> tuple[int, int]:

@@ -63,8 +63,9 @@ class _Buffers:
 class FrameUploader:
     """Copies frames of one camera to a device, into a few sets of buffers in turn.
 
-    With a ``depth_scale``, metres a step, depth images are uint16, half the memory to read; without, float32 metres, of
-    which those that are not finite become 0. On CUDA the copies run beside the kernels of the batch before.
+    With a ``depth_scale``, metres a step, depth images are uint16, half the memory to read; without, float32 metres.
+    What is not finite becomes 0, as does 65535, which marks invalid steps too. On CUDA the copies run beside the
+    kernels of the batch before.
     """
 
     def __init__(
@@ -96,7 +97,7 @@ class FrameUploader:
 
         ``depths`` are (height, width) planar, metres or steps, ``poses`` world_from_camera 4×4, ``colors``
         (height, width, 3) RGB. On the CPU, images that lie in memory one after the other, as in an array of a dimension
-        more, are not copied: they must stay as they are as long as the result is used.
+        more, are not copied: they must stay as they are as long as the result is used, and mark invalid depth with 0.
         """
         if self.device.is_cuda:
             # All that reads the batch before was launched by now.
@@ -107,7 +108,9 @@ class FrameUploader:
             wp.synchronize_event(buffers.copied)
         count = len(depths)
         depth, camera_from_world, color = (array[:count] for array in buffers.on_device)
-        in_place = self.device.is_cpu and _are_one_array(depths) and (colors is None or _are_one_array(colors))
+        assert count <= len(buffers.confidence), "no more frames than there is room for"
+        in_place = self.device.is_cpu and _are_one_array(depths, depth.shape, np.uint16)
+        in_place &= colors is None or _are_one_array(colors, (*depth.shape, 3), np.uint8)
         camera_from_world_rows = buffers.host[1].numpy()
         camera_from_world_rows[:count] = [inverse(pose) for pose in poses]
         if in_place:
@@ -148,17 +151,18 @@ def _fill(
 
     def copy(i: int) -> None:
         np.copyto(depth_rows[i], depths[i], casting="no")
-        if depth_rows.dtype == np.float32:
-            depth_rows[i][~np.isfinite(depth_rows[i])] = 0
+        depth_rows[i][~np.isfinite(depth_rows[i]) if depth_rows.dtype == np.float32 else depth_rows[i] == 65535] = 0
         if colors is not None:
             np.copyto(color_rows[i], colors[i].reshape(color_rows[i].shape), casting="no")
 
     map_on_cores(copy, range(len(depths)))
 
 
-def _are_one_array(images: Any) -> bool:
-    """Tell whether images are one array of integers, which kernels can read where it lies."""
-    return bool(isinstance(images, np.ndarray) and images.flags.c_contiguous and images.dtype.kind == "u")
+def _are_one_array(images: Any, shape: tuple[int, ...], dtype: type) -> bool:
+    """Tell whether images are one array of steps or bytes, which kernels can read where it lies."""
+    if not isinstance(images, np.ndarray) or not images.flags.c_contiguous:
+        return False
+    return bool(images.dtype == dtype and images.shape == shape)
 
 
 def _as_rows(colors: Any, device: Device) -> wp.array:

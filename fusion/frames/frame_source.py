@@ -58,7 +58,9 @@ class FrameSource:
         self.dataset = dataset
         self.frame_ids = frame_ids
         self.batch_size = min(batch_size, len(frame_ids))
-        self.poses = {frame_id: _near_pose(dataset, frame_id) for frame_id in frame_ids}
+        self.poses = {
+            i: near_origin(dataset.world_from_camera(i), source=f"{dataset.folder}: frame {i}") for i in frame_ids
+        }
         self.surveys: dict[int, FrameSurvey] = {}
         self.decoding_seconds = 0.0
         self.waiting_seconds = 0.0
@@ -134,13 +136,12 @@ class FrameSource:
         return depth
 
 
-def _near_pose(dataset: Dataset, frame_id: int) -> Matrix:
-    """Read a pose; raises InputError where it lies so far out that single precision loses millimetres."""
-    pose = dataset.world_from_camera(frame_id)
-    distance = float(np.linalg.norm(pose[:3, 3]))
+def near_origin(world_from_camera: Matrix, *, source: str) -> Matrix:
+    """Return a pose; raises InputError where it lies so far out that single precision loses millimetres."""
+    distance = float(np.linalg.norm(world_from_camera[:3, 3]))
     if distance > FARTHEST:
         raise InputError(
-            f"{dataset.folder}: frame {frame_id}: the camera stands {distance:.4g} m from the world's origin, more "
-            f"than {FARTHEST:g} m, where single precision loses millimetres; subtract one offset from all positions"
+            f"{source}: the camera stands {distance:.4g} m from the world's origin, more than {FARTHEST:g} m, where "
+            "single precision loses millimetres; subtract one offset from all positions"
         )
-    return pose
+    return world_from_camera

@@ -8,6 +8,7 @@ On CUDA nothing waits for the device in the steady state: two pinned buffers tak
 captured once as a graph, and whether its blocks found room is looked up when its buffer is needed again.
 """
 
+import zlib
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,22 +18,24 @@ import warp as wp
 from datagen.camera import PinholeCamera
 from datagen.dataset import Frame
 from datagen.errors import InputError
-from datagen.rigid import rigid
+from datagen.rigid import Matrix, rigid
 from fusion.devices import load_kernels, resolve_device
 from fusion.frames import color_confidence, depth_tiles, pixel_weights
 from fusion.frames.frame_batch import FrameBatch, FrameUploader
 from fusion.frames.frame_matrices import frame_matrices
+from fusion.frames.frame_source import near_origin
+from fusion.frames.survey import SceneSurvey
 from fusion.integration import integrate
 from fusion.integration.find_blocks import launch_find_blocks, out_of_range
 from fusion.integration.fuse_batch import load_fusion_kernels
 from fusion.integration.options import Integration
 from fusion.integration.visible_blocks import visible_blocks
-from fusion.integration.volume_memory import block_budget
-from fusion.reconstruction_config import VOXELS_PER_TRUNCATION
+from fusion.integration.volume_memory import INDEX_LIMIT, block_budget
+from fusion.reconstruction_config import EXACT, ReconstructionConfig, check_length, choose_lengths
 from fusion.surface.marching_cubes import marching_cubes
 from fusion.surface.mesh import Mesh
 from fusion.surface.mesh_pieces import MeshPiece, MeshPieces
-from fusion.volume.block_table import OUT_OF_RANGE, TABLE_FULL
+from fusion.volume.block_table import OUT_OF_RANGE, TABLE_FULL, BlockArrays
 from fusion.volume.tsdf_volume import Volume
 from fusion.volume.voxels import Storage
 
@@ -45,21 +48,30 @@ KERNEL_MODULES = (
     "fusion.surface.mesh_pieces",
 )
 _FIRST_CAPACITY = 1 << 13
+_TABLE_FULL = wp.constant(TABLE_FULL)
 
 
 @wp.kernel
-def _sum_up(
-    answers: wp.array2d(dtype=int),
-    count: wp.array(dtype=int),
-    blocks: wp.array(dtype=wp.vec3i),
-    outcome: wp.array(dtype=int),
-) -> None:
+def _sum_up(answers: wp.array2d(dtype=int), table: BlockArrays, outcome: wp.array(dtype=int)) -> None:
     # outcome: what stood in the way, and how many blocks there are.
     index = wp.tid()
+    room = table.blocks.shape[0]
     if answers[index, 1] != 0:
         wp.atomic_max(outcome, 0, answers[index, 1])
     if index == 0:
-        outcome[1] = wp.min(count[0], blocks.shape[0])
+        outcome[1] = wp.min(table.count[0], room)
+        if table.count[0] > room:
+            # Another frame claimed what it was given no room for, and this one may have found that present.
+            wp.atomic_max(outcome, 0, _TABLE_FULL)
+
+
+@wp.kernel
+def _hold_back(outcome: wp.array(dtype=int), masks: wp.array2d(dtype=wp.uint32)) -> None:
+    # A frame that did not find room for all of its blocks waits until it does.
+    if outcome[0] != 0:
+        number = wp.tid()
+        for part in range(masks.shape[1]):
+            masks[number, part] = wp.uint32(0)
 
 
 @wp.kernel
@@ -88,10 +100,11 @@ class _Slot:
 class LiveVolume:
     """A growing volume for frames of one camera, one at a time.
 
-    ``voxel_size`` and ``truncation`` (4 voxels if not given) are metres. Frames have depth in metres, or with
-    ``depth_scale`` (metres a step) uint16 steps. ``device`` is auto, cpu or cuda[:N]. ``max_blocks`` bounds the volume,
-    by the free memory if not given. ``volume`` is the fused volume itself, for ray casting, saving or merging; call
-    ``finish`` before reading it.
+    ``voxel_size`` and ``truncation`` (4 voxels if not given) are metres. Frames have depth in metres, float32, or with
+    ``depth_scale`` (metres a step) in uint16 steps, 0 and 65535 invalid. ``integration`` is that of a reconstruction if
+    not given; ``storage`` is full, so that frames can be removed exactly. ``device`` is auto, cpu or cuda[:N].
+    ``max_blocks`` bounds the volume, by the free memory if not given. ``volume`` is the fused volume itself, for ray
+    casting, saving or merging; call ``finish`` before reading it. Raises InputError for options that make no volume.
     """
 
     def __init__(
@@ -107,11 +120,20 @@ class LiveVolume:
         max_blocks: int | None = None,
     ) -> None:
         self.camera = camera
-        self.integration = integration or Integration()
+        # Checks what it is given as for a reconstruction.
+        config = ReconstructionConfig(
+            voxel_size=voxel_size, truncation=truncation, storage=storage, integration=integration or EXACT
+        )
+        lengths = choose_lengths(config, _no_survey)
+        if depth_scale is not None:
+            check_length("depth_scale", depth_scale)
+        if max_blocks is not None and not 1 <= max_blocks <= INDEX_LIMIT:
+            raise InputError(f"max_blocks {max_blocks}: expected 1 to {INDEX_LIMIT}")
+        self.integration = config.integration
         on = resolve_device(device)
         self.volume = Volume(
-            voxel_size=voxel_size,
-            truncation=truncation or VOXELS_PER_TRUNCATION * voxel_size,
+            voxel_size=lengths.voxel_size,
+            truncation=lengths.truncation,
             device=on,
             # While it grows, the volume is in memory twice.
             max_blocks=max_blocks or block_budget(on, storage) // 2,
@@ -128,7 +150,9 @@ class LiveVolume:
             )
             for _ in range(2 if on.is_cuda else 1)
         ]
+        self._depth_dtype = np.dtype(np.float32 if depth_scale is None else np.uint16)
         self._blocks_at: dict[int, int] = {}
+        self._prints: dict[int, int] = {}
         self._pieces = MeshPieces()
         self._outcome = wp.zeros(2, dtype=int, device=on)
         self._changed = wp.zeros(0, dtype=wp.uint8, device=on)
@@ -137,40 +161,58 @@ class LiveVolume:
     @property
     def frame_ids(self) -> tuple[int, ...]:
         """The frames that are in the volume."""
-        return tuple(self._blocks_at)
+        return tuple(self._prints)
 
     def integrate(self, frame: Frame) -> None:
         """Add a frame. Raises InputError where it does not fit the camera, is there already, or asks for too much.
 
-        A frame that is refused leaves the volume as it was; on CUDA that may be told one call later.
+        A frame that is refused changes no voxel. On CUDA an error may be that of one of the two frames before, which it
+        names; this frame is then added nonetheless.
         """
-        self._check(frame)
-        if frame.frame_id in self._blocks_at:
+        pose = self._checked_pose(frame)
+        if frame.frame_id in self._prints:
             raise InputError(f"frame {frame.frame_id} is in the volume already; remove it before adding it again")
+        self._make_room()
         slot = self._slots.pop(0)
         self._slots.append(slot)
-        self._settle(slot)
-        slot.batch = slot.upload([frame.depth], [frame.world_from_camera], [frame.color])
-        slot.frame_id = frame.frame_id
-        self._blocks_at[frame.frame_id] = self.volume.table.count
+        earlier = None
+        try:
+            self._settle(slot)
+        except InputError as error:
+            earlier = error
+        slot.batch = slot.upload([frame.depth], [pose], [frame.color])
         self._launch(slot)
+        slot.frame_id = frame.frame_id
+        self._prints[frame.frame_id] = _fingerprint(frame)
         if self.volume.device.is_cpu:
             self._settle(slot)
+        if earlier is not None:
+            raise earlier
 
     def remove(self, frame: Frame) -> None:
         """Take a frame away again: exactly in full storage, to rounding in packed.
 
-        Raises InputError where it is not in the volume, or weights are capped.
+        Where weights are not whole numbers, rounding leaves traces of them in voxels that no other frame saw; meshing
+        with a ``min_weight`` of 0.01 passes over these. Raises InputError where the frame is not in the volume, or is
+        not the one that was added under its number, and where weights are capped.
         """
-        self._check(frame)
+        pose = self._checked_pose(frame)
         self.finish()
-        if frame.frame_id not in self._blocks_at:
+        if frame.frame_id not in self._prints:
             raise InputError(f"frame {frame.frame_id} is not in the volume")
+        if self._prints[frame.frame_id] != _fingerprint(frame):
+            raise InputError(
+                f"frame {frame.frame_id}: its images or pose are not those that were added; nothing removed"
+            )
         if self.integration.weight_cap is not None:
             raise InputError("a frame cannot be removed where weights are capped; integrate without a weight cap")
-        batch = self._slots[0].upload([frame.depth], [frame.world_from_camera], [frame.color])
+        batch = self._slots[0].upload([frame.depth], [pose], [frame.color])
         # Blocks that came later know nothing of it.
         self._integrate(batch, blocks=self._blocks_at.pop(frame.frame_id), remove=True)
+        del self._prints[frame.frame_id]
+        if not self._prints:
+            for array in self.volume.arrays().values():
+                array.zero_()
 
     def finish(self) -> None:
         """Wait until every frame is in the volume; raises InputError where one asked for too much."""
@@ -195,14 +237,26 @@ class LiveVolume:
         pieces = self._pieces.pieces
         return {number: pieces.get(number) for number in stale if number in pieces or number in before}
 
-    def _check(self, frame: Frame) -> None:
-        size = (self.camera.height, self.camera.width)
-        for name, shape in (("depth", frame.depth.shape), ("colour", frame.color.shape[:2])):
-            if shape != size:
-                raise InputError(
-                    f"frame {frame.frame_id}: its {name} is {shape[1]}×{shape[0]}, the camera {size[1]}×{size[0]}"
-                )
-        rigid(frame.world_from_camera, source=f"frame {frame.frame_id}")
+    def _checked_pose(self, frame: Frame) -> Matrix:
+        """Return a frame's pose, made exactly rigid; raises InputError for a frame that cannot be integrated."""
+        height, width = self.camera.height, self.camera.width
+        for name, image, dtype, shape in (
+            ("depth", frame.depth, self._depth_dtype, (height, width)),
+            ("colour", frame.color, np.dtype(np.uint8), (height, width, 3)),
+        ):
+            if not isinstance(image, np.ndarray) or image.dtype != dtype or image.shape != shape:
+                found = f"{image.dtype} {image.shape}" if isinstance(image, np.ndarray) else type(image).__name__
+                raise InputError(f"frame {frame.frame_id}: its {name} is {found}, expected {dtype} {shape}")
+        pose = rigid(np.asarray(frame.world_from_camera, dtype=np.float64), source=f"frame {frame.frame_id}")
+        return near_origin(pose, source=f"frame {frame.frame_id}")
+
+    def _make_room(self) -> None:
+        """Let the table grow before it is full."""
+        table = self.volume.table
+        if 4 * table.count > 3 * len(table.blocks) and len(table.blocks) < table.max_blocks:
+            self.finish()
+            table.grow()
+            self._reserve()
 
     def _launch(self, slot: _Slot) -> None:
         """Start all that a frame does; on CUDA by its graph, captured after the kernels ran once."""
@@ -216,7 +270,7 @@ class LiveVolume:
         else:
             wp.capture_launch(slot.graph)
         if device.is_cuda:
-            slot.done = wp.record_event(slot.done)
+            slot.done = wp.get_stream(device).record_event(slot.done)
 
     def _find_and_integrate(self, slot: _Slot) -> None:
         assert slot.batch is not None, "a slot is launched with a frame in it"
@@ -229,23 +283,23 @@ class LiveVolume:
         wp.launch(
             _sum_up,
             dim=len(answers),
-            inputs=[answers, table.arrays.count, table.blocks],
+            inputs=[answers, table.arrays],
             outputs=[self._outcome],
             device=self.volume.device,
         )
         wp.copy(slot.outcome, self._outcome)
-        self._integrate(slot.batch, blocks=self.volume.reserved, tiles=tiles)
+        self._integrate(slot.batch, blocks=self.volume.reserved, tiles=tiles, hold_back=True)
 
     def _integrate(
         self,
         batch: FrameBatch,
         *,
         blocks: int,
-        first: int = 0,
         remove: bool = False,
         tiles: depth_tiles.DepthTiles | None = None,
+        hold_back: bool = False,
     ) -> None:
-        """Integrate a frame into the blocks from ``first`` to ``blocks``."""
+        """Integrate a frame into the first ``blocks`` blocks, or ``hold_back`` where it found no room for its own."""
         volume, truncation = self.volume, self.volume.truncation
         tiles = tiles or depth_tiles.depth_tiles(batch, split_beyond=2 * truncation)
         matrices = frame_matrices(batch, volume.voxel_size)
@@ -253,8 +307,8 @@ class LiveVolume:
         weights = pixel_weights.pixel_weights(batch, self.integration.weighting, step=truncation)
         weighed = replace(batch, pixel_weights=weights)
         masks = visible_blocks(volume.table, batch, tiles, matrices, truncation=truncation, blocks=blocks)
-        if first:
-            masks[:first].zero_()
+        if hold_back:
+            wp.launch(_hold_back, dim=blocks, inputs=[self._outcome], outputs=[masks], device=volume.device)
         integrate.integrate_frames(volume, weighed, matrices, masks, self.integration, remove=remove)
         wp.launch(_note_changes, dim=blocks, inputs=[masks], outputs=[self._changed], device=volume.device)
 
@@ -273,17 +327,12 @@ class LiveVolume:
                 raise out_of_range(self.volume.voxel_size)
             if problem == TABLE_FULL:
                 self._grow_for(slot.batch)
-                self._integrate(slot.batch, blocks=table.count, first=count)
+                self._integrate(slot.batch, blocks=table.count)
                 count = table.count
         except InputError as error:
-            self._integrate(slot.batch, blocks=count, remove=True)
-            del self._blocks_at[frame_id]
+            del self._prints[frame_id]
             raise type(error)(f"frame {frame_id}: {error}; the frame was left out") from None
         self._blocks_at[frame_id] = count
-        if 4 * table.count > 3 * len(table.blocks) and table.count < table.max_blocks:
-            self.finish()
-            table.grow()
-            self._reserve()
 
     def _grow_for(self, batch: FrameBatch) -> None:
         """Let the table grow until all blocks of a frame have entered."""
@@ -313,3 +362,13 @@ class LiveVolume:
         self._changed = changed
         for slot in self._slots:
             slot.graph = None
+
+
+def _no_survey() -> SceneSurvey:
+    raise InputError("voxel_size: a live volume cannot take it from frames that are still to come; give it in metres")
+
+
+def _fingerprint(frame: Frame) -> int:
+    """Return a number that tells a frame from another: of its pose and of every 16th pixel in both directions."""
+    parts = (np.asarray(frame.world_from_camera, dtype=np.float64), frame.depth[::16, ::16], frame.color[::16, ::16])
+    return zlib.crc32(b"".join(np.ascontiguousarray(part).tobytes() for part in parts))

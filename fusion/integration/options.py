@@ -36,5 +36,7 @@ class Integration:
         ):
             if value not in known:
                 raise InputError(f"{option} {value}: expected one of {', '.join(known)}")
+        if not isinstance(self.drop_off, bool):
+            raise InputError(f"drop_off {self.drop_off!r}: expected True or False")
         if self.weight_cap is not None and not 1 <= self.weight_cap <= 1e5:
             raise InputError(f"--weight-cap {self.weight_cap:g}: expected 1 to 100000 frames' worth of weight")

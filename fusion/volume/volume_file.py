@@ -17,11 +17,17 @@ from numpy.typing import NDArray
 from datagen.atomic_write import replacing
 from datagen.errors import InputError
 from fusion.devices import Device
-from fusion.volume.block_table import BLOCK_VOXELS
+from fusion.volume.block_table import BLOCK_VOXELS, COORDINATE_LIMIT
 from fusion.volume.tsdf_volume import ARRAYS, Volume
 from fusion.volume.voxels import Storage
 
 VERSION = 2
+
+_UNREADABLE = (
+    *(OSError, EOFError, KeyError, AttributeError, ValueError, TypeError, MemoryError, RuntimeError),
+    *(zipfile.BadZipFile, zlib.error),
+)
+"""What NumPy and zipfile raise for files that are damaged, or none of ours."""
 
 
 def save_volume(path: Path, volume: Volume) -> None:
@@ -57,10 +63,11 @@ def load_volume(path: Path, *, device: Device) -> Volume:
             max_blocks=len(blocks),
             storage=_storage(str(arrays["storage"])),
         )
+        _check(volume, arrays["blocks"], blocks)
         sums = {name: _voxels(arrays.pop(name), dtype, len(blocks)) for name, dtype in ARRAYS[volume.storage].items()}
     except FileNotFoundError:
         raise InputError(f"{path}: the file is missing; reconstruct it again") from None
-    except (OSError, EOFError, KeyError, AttributeError, ValueError, zipfile.BadZipFile, zlib.error) as error:
+    except _UNREADABLE as error:
         if isinstance(error, InputError):
             raise
         raise InputError(f"{path}: damaged, or not a volume ({error}); reconstruct it again") from error
@@ -71,6 +78,19 @@ def load_volume(path: Path, *, device: Device) -> Volume:
     return volume
 
 
+def _check(volume: Volume, stored: NDArray, blocks: NDArray[np.int32]) -> None:
+    """Raise ValueError unless lengths and blocks are those of a volume."""
+    for name, length in (("voxel_size", volume.voxel_size), ("truncation", volume.truncation)):
+        if not 0 < length < np.inf:
+            raise ValueError(f"{name} {length}")
+    if stored.dtype.kind != "i":
+        raise ValueError(f"blocks of type {stored.dtype}")
+    if (np.abs(stored.astype(np.int64) + 0.5) > COORDINATE_LIMIT).any():
+        raise ValueError("a block out of range")
+    if len(np.unique(blocks, axis=0)) != len(blocks):
+        raise ValueError("a block twice")
+
+
 def _storage(name: str) -> Storage:
     if name not in ARRAYS:
         raise ValueError(f"unknown storage {name!r}")
@@ -79,6 +99,8 @@ def _storage(name: str) -> Storage:
 
 def _voxels(array: NDArray, dtype: type, blocks: int) -> NDArray:
     """Return an array that was read in the shape and type that a volume takes."""
+    if array.dtype.kind != ("u" if dtype is wp.uint64 else "f"):
+        raise ValueError(f"voxels of type {array.dtype}")
     if dtype is wp.uint64:
         return array.astype(np.uint64, copy=False).reshape(blocks * BLOCK_VOXELS)
     tail = (3,) if dtype is wp.vec3 else ()

@@ -179,5 +179,23 @@ def test_reconstructions_that_do_not_fit_together_are_refused(capsys, base, tmp_
     arguments = ["reconstruct", base / "data", tmp_path / "coarse", "--voxel-size", 0.03, "--frames", "1::2"]
     assert run(capsys, *arguments)[0] == 0
     refused(
-        capsys, out, "voxel size 0.02 m and 0.03 m cannot be merged", "merge", base / "even", tmp_path / "coarse", out
+        capsys, out, "voxels of 0.03 m with a truncation of 0.12 m", "merge", base / "even", tmp_path / "coarse", out
     )
+
+
+def test_a_crop_is_meshed_as_its_whole_was(capsys, base, tmp_path):
+    arguments = ["reconstruct", base / "data", tmp_path / "often", "--voxel-size", 0.02, "--min-weight", 3]
+    assert run(capsys, *arguments)[0] == 0
+    assert run(capsys, "crop", tmp_path / "often", tmp_path / "crop", "--low", -1e-1, "-9e0", "_")[0] == 0
+    whole, crop = (trimesh.load(tmp_path / name / "mesh.ply", process=False) for name in ("often", "crop"))
+    inside = whole.vertices[:, 0] > -0.05
+    assert (crop.vertices[:, 0] > -0.05).sum() == inside.sum()
+
+
+@pytest.mark.parametrize("option", ["--no-drop-off", "--weighting=cosine", "--min-weight=2"])
+def test_what_was_fused_differently_is_not_merged(capsys, base, tmp_path, option):
+    arguments = ["reconstruct", base / "data", tmp_path / "other", "--voxel-size", 0.02, "--frames", "1::2", option]
+    assert run(capsys, *arguments)[0] == 0
+    name = option.lstrip("-").removeprefix("no-").split("=")[0].replace("-", "_")
+    out = tmp_path / "out"
+    refused(capsys, out, f"fused with {name}", "merge", base / "even", tmp_path / "other", out)

@@ -2,7 +2,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from synthetic_fusion import TRUNCATION, VOXEL_SIZE, by_block, fuse
+from synthetic_fusion import PAPER, TRUNCATION, VOXEL_SIZE, by_block, fuse
 from synthetic_scene import CAMERA, SphereScene
 
 from datagen.camera import PinholeCamera
@@ -23,7 +23,7 @@ def frames():
 @pytest.fixture
 def live(device):
     def make(**options):
-        lengths = {"voxel_size": VOXEL_SIZE, "truncation": TRUNCATION}
+        lengths = {"voxel_size": VOXEL_SIZE, "truncation": TRUNCATION, "integration": PAPER}
         return LiveVolume(CAMERA, device=str(device.alias), **(lengths | options))
 
     return make
@@ -67,7 +67,9 @@ def test_blocks_found_later_miss_only_free_space(device, live, frames):
 
 def test_a_growing_table_loses_no_block(device, frames, monkeypatch):
     monkeypatch.setattr("fusion.integration.live_volume._FIRST_CAPACITY", 64)
-    volume = LiveVolume(CAMERA, voxel_size=VOXEL_SIZE, truncation=TRUNCATION, device=str(device.alias))
+    volume = LiveVolume(
+        CAMERA, voxel_size=VOXEL_SIZE, truncation=TRUNCATION, device=str(device.alias), integration=PAPER
+    )
     ample = fuse(frames, device)
     for frame in frames:
         volume.integrate(frame)
@@ -117,7 +119,7 @@ def test_frames_that_do_not_fit_are_refused_and_leave_no_trace(live, frames):
     far = np.full_like(frames[1].depth, 1e10)
     for frame, message in (
         (frames[0], "frame 0 is in the volume already"),
-        (small, r"frame 5: its depth is 80×60, the camera 160×120"),
+        (small, r"frame 5: its depth is float32 \(60, 80\), expected float32 \(120, 160\)"),
         (dataclasses.replace(frames[1], world_from_camera=skewed), "frame 1: .*rotation"),
         (dataclasses.replace(frames[2], depth=far), r"frame 2: a surface is more than .*; the frame was left out"),
     ):
@@ -159,6 +161,107 @@ def test_pixels_without_a_finite_depth_count_as_invalid(device, live, frames):
     assert one.keys() == other.keys()
     for block, sums in one.items():
         np.testing.assert_array_equal(sums, other[block])
+
+
+@pytest.mark.parametrize("options", [PAPER, Integration(weight_cap=2.0)], ids=["paper", "capped"])
+@pytest.mark.parametrize("storage", ["full", "packed"])
+def test_a_refused_frame_changes_no_voxel(live, frames, options, storage):
+    volume = live(integration=options, storage=storage)
+    for frame in frames[:4]:
+        volume.integrate(frame)
+    volume.finish()
+    before = by_block(volume.volume)
+    spoilt = frames[5].depth.copy()
+    spoilt[50:60, 50:60] = 1e7
+    with pytest.raises(InputError, match="frame 5: .*left out"):
+        integrate_now(volume, dataclasses.replace(frames[5], depth=spoilt))
+    for block, sums in by_block(volume.volume).items():
+        np.testing.assert_array_equal(sums, before.get(block, np.zeros_like(sums)))
+
+
+def test_a_volume_at_its_bound_grows_no_further(live, frames):
+    volume = live()
+    volume.integrate(frames[0])
+    volume.finish()
+    tight = live(max_blocks=int(1.2 * volume.volume.table.count))
+    capacities = []
+    for i in range(6):
+        tight.integrate(dataclasses.replace(frames[0], frame_id=i))
+        capacities.append(tight.volume.table.capacity)
+    assert capacities[-1] <= 1 << 13
+
+
+def test_steps_of_65535_are_no_surface(live, frames):
+    steps = np.rint(frames[0].depth / 1e-3).astype(np.uint16)
+    meshes = []
+    for invalid in (0, 65535):
+        volume = live(depth_scale=1e-3)
+        volume.integrate(dataclasses.replace(frames[0], depth=np.where(steps > 0, steps, invalid).astype(np.uint16)))
+        meshes.append(volume.mesh())
+    np.testing.assert_array_equal(meshes[0].vertices, meshes[1].vertices)
+
+
+def test_frames_of_the_wrong_kind_are_refused_by_name(live, frames):
+    frame, volume = frames[0], live()
+    height, width = frame.depth.shape
+    for changes in (
+        {"depth": frame.depth.astype(np.float64)},
+        {"depth": np.zeros((height, width), np.uint16)},
+        {"depth": frame.depth[..., None]},
+        {"depth": frame.depth[0]},
+        {"depth": frame.depth.tolist()},
+        {"color": frame.color.astype(np.float32)},
+        {"color": np.zeros((height, width, 4), np.uint8)},
+        {"color": None},
+        {"world_from_camera": np.full((4, 4), np.nan)},
+    ):
+        with pytest.raises(InputError, match="frame 0"):
+            volume.integrate(dataclasses.replace(frame, **changes))
+    far = frame.world_from_camera.copy()
+    far[0, 3] = 5e4
+    with pytest.raises(InputError, match="frame 0: the camera stands 5e"):
+        volume.integrate(dataclasses.replace(frame, world_from_camera=far))
+    assert volume.frame_ids == ()
+
+
+def test_a_pose_is_mended_as_a_reconstruction_does(live, frames):
+    scaled = frames[0].world_from_camera.copy()
+    scaled[:3, :3] *= 1.0004
+    volumes = [live(), live()]
+    volumes[0].integrate(frames[0])
+    volumes[1].integrate(dataclasses.replace(frames[0], world_from_camera=scaled))
+    vertices = [volume.mesh().vertices for volume in volumes]
+    np.testing.assert_allclose(vertices[1], vertices[0], atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"voxel_size": np.nan},
+        {"voxel_size": -0.1},
+        {"voxel_size": 0.0},
+        {"truncation": 0.001},
+        {"truncation": np.nan},
+        {"depth_scale": 0.0},
+        {"depth_scale": np.nan},
+        {"storage": "none"},
+        {"max_blocks": 0},
+        {"max_blocks": 1 << 40},
+    ],
+    ids=str,
+)
+def test_options_that_make_no_volume_are_refused(live, options):
+    with pytest.raises(InputError, match=next(iter(options)).replace("_", ".")):
+        live(**options)
+
+
+def test_another_image_under_the_same_number_is_not_removed(live, frames):
+    volume = live()
+    volume.integrate(frames[0])
+    with pytest.raises(InputError, match="frame 0: its images or pose are not those"):
+        volume.remove(dataclasses.replace(frames[1], frame_id=0))
+    volume.remove(frames[0])
+    assert len(volume.mesh().triangles) == 0
 
 
 def test_capped_weights_cannot_be_taken_away(live, frames):

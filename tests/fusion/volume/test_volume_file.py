@@ -73,3 +73,26 @@ def test_pickles_are_never_loaded(device, tmp_path):
     np.savez(path, version=np.array([{"a": 1}], dtype=object))
     with pytest.raises(InputError, match="damaged"):
         load_volume(path, device=device)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("voxel_size", np.nan),
+        ("voxel_size", np.zeros(2)),
+        ("truncation", -1.0),
+        ("blocks", np.zeros((2, 3), np.int32)),
+        ("blocks", np.full((1, 3), 1 << 30, np.int32)),
+        ("blocks", np.zeros((1, 3))),
+        ("weight", np.zeros(3, np.float32)),
+        ("weight", np.zeros(512, complex)),
+    ],
+)
+def test_arrays_that_make_no_volume_are_refused(device, volume, tmp_path, name, value):
+    path = tmp_path / "volume.npz"
+    save_volume(path, volume)
+    with np.load(path) as file:
+        arrays = dict(file)
+    np.savez(path, **(arrays | {name: value}))
+    with pytest.raises(InputError, match=r"volume\.npz: damaged"):
+        load_volume(path, device=device)
