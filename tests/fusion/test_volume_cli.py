@@ -184,7 +184,7 @@ def test_reconstructions_that_do_not_fit_together_are_refused(capsys, base, tmp_
 
 
 def test_a_crop_is_meshed_as_its_whole_was(capsys, base, tmp_path):
-    arguments = ["reconstruct", base / "data", tmp_path / "often", "--voxel-size", 0.02, "--min-weight", 3]
+    arguments = ["reconstruct", base / "data", tmp_path / "often", "--voxel-size", 0.02, "--min-weight", 1]
     assert run(capsys, *arguments)[0] == 0
     assert run(capsys, "crop", tmp_path / "often", tmp_path / "crop", "--low", -1e-1, "-9e0", "_")[0] == 0
     whole, crop = (trimesh.load(tmp_path / name / "mesh.ply", process=False) for name in ("often", "crop"))
@@ -192,7 +192,7 @@ def test_a_crop_is_meshed_as_its_whole_was(capsys, base, tmp_path):
     assert (crop.vertices[:, 0] > -0.05).sum() == inside.sum()
 
 
-@pytest.mark.parametrize("option", ["--no-drop-off", "--weighting=cosine", "--min-weight=2"])
+@pytest.mark.parametrize("option", ["--no-drop-off", "--weighting=cosine", "--min-weight=0.5"])
 def test_what_was_fused_differently_is_not_merged(capsys, base, tmp_path, option):
     arguments = ["reconstruct", base / "data", tmp_path / "other", "--voxel-size", 0.02, "--frames", "1::2", option]
     assert run(capsys, *arguments)[0] == 0

@@ -173,7 +173,7 @@ def test_a_refused_frame_changes_no_voxel(live, frames, options, storage):
     before = by_block(volume.volume)
     spoilt = frames[5].depth.copy()
     spoilt[50:60, 50:60] = 1e7
-    with pytest.raises(InputError, match="frame 5: .*left out"):
+    with pytest.raises(InputError, match=r"frame 5: .*left out"):
         integrate_now(volume, dataclasses.replace(frames[5], depth=spoilt))
     for block, sums in by_block(volume.volume).items():
         np.testing.assert_array_equal(sums, before.get(block, np.zeros_like(sums)))
