@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from datagen.camera import PinholeCamera
 from datagen.dataset import Frame
@@ -163,11 +164,12 @@ class LiveVolume:
         """The frames that are in the volume."""
         return tuple(self._prints)
 
-    def integrate(self, frame: Frame) -> None:
-        """Add a frame. Raises InputError where it does not fit the camera, is there already, or asks for too much.
+    def integrate(self, frame: Frame, *, pixel_weights: NDArray[np.float32] | None = None) -> None:
+        """Add a frame; ``pixel_weights`` (height, width), 0 or more, multiply the weights of its pixels.
 
-        A frame that is refused changes no voxel. On CUDA an error may be that of one of the two frames before, which it
-        names; this frame is then added nonetheless.
+        Raises InputError where it does not fit the camera, is there already, or asks for too much. A frame that is
+        refused changes no voxel. On CUDA an error may be that of one of the two frames before, which it names; this
+        frame is then added nonetheless.
         """
         pose = self._checked_pose(frame)
         if frame.frame_id in self._prints:
@@ -180,17 +182,17 @@ class LiveVolume:
             self._settle(slot)
         except InputError as error:
             earlier = error
-        slot.batch = slot.upload([frame.depth], [pose], [frame.color])
+        slot.batch = self._upload(slot, frame, pose, pixel_weights)
         self._launch(slot)
         slot.frame_id = frame.frame_id
-        self._prints[frame.frame_id] = _fingerprint(frame)
+        self._prints[frame.frame_id] = _fingerprint(frame, pixel_weights)
         if self.volume.device.is_cpu:
             self._settle(slot)
         if earlier is not None:
             raise earlier
 
-    def remove(self, frame: Frame) -> None:
-        """Take a frame away again: exactly in full storage, to rounding in packed.
+    def remove(self, frame: Frame, *, pixel_weights: NDArray[np.float32] | None = None) -> None:
+        """Take a frame away again, with the weights it was added with: exactly in full storage, to rounding in packed.
 
         Where weights are not whole numbers, rounding leaves traces of them in voxels that no other frame saw; meshing
         with a ``min_weight`` of 0.01 passes over these. Raises InputError where the frame is not in the volume, or is
@@ -200,13 +202,13 @@ class LiveVolume:
         self.finish()
         if frame.frame_id not in self._prints:
             raise InputError(f"frame {frame.frame_id} is not in the volume")
-        if self._prints[frame.frame_id] != _fingerprint(frame):
+        if self._prints[frame.frame_id] != _fingerprint(frame, pixel_weights):
             raise InputError(
                 f"frame {frame.frame_id}: its images or pose are not those that were added; nothing removed"
             )
         if self.integration.weight_cap is not None:
             raise InputError("a frame cannot be removed where weights are capped; integrate without a weight cap")
-        batch = self._slots[0].upload([frame.depth], [pose], [frame.color])
+        batch = self._upload(self._slots[0], frame, pose, pixel_weights)
         # Blocks that came later know nothing of it.
         self._integrate(batch, blocks=self._blocks_at.pop(frame.frame_id), remove=True)
         del self._prints[frame.frame_id]
@@ -250,6 +252,15 @@ class LiveVolume:
         pose = rigid(np.asarray(frame.world_from_camera, dtype=np.float64), source=f"frame {frame.frame_id}")
         return near_origin(pose, source=f"frame {frame.frame_id}")
 
+    def _upload(self, slot: _Slot, frame: Frame, pose: Matrix, weights: NDArray[np.float32] | None) -> FrameBatch:
+        batch = slot.upload([frame.depth], [pose], [frame.color])
+        if weights is None:
+            return batch
+        if not isinstance(weights, np.ndarray) or weights.shape != frame.depth.shape or not (weights >= 0).all():
+            raise InputError(f"frame {frame.frame_id}: expected pixel_weights {frame.depth.shape} of 0 or more")
+        on_device = wp.array(weights[None].astype(np.float32), dtype=float, device=self.volume.device)
+        return replace(batch, pixel_weights=on_device)
+
     def _make_room(self) -> None:
         """Let the table grow before it is full."""
         table = self.volume.table
@@ -261,6 +272,13 @@ class LiveVolume:
     def _launch(self, slot: _Slot) -> None:
         """Start all that a frame does; on CUDA by its graph, captured after the kernels ran once."""
         device = self.volume.device
+        assert slot.batch is not None, "a slot is launched with a frame in it"
+        if slot.batch.pixel_weights is not None:
+            # The user's weights lie elsewhere each time, which no graph knows of.
+            self._find_and_integrate(slot)
+            if device.is_cuda:
+                slot.done = wp.get_stream(device).record_event(slot.done)
+            return
         if slot.graph is None and slot.done is not None and device.is_cuda and wp.is_mempool_enabled(device):
             with wp.ScopedCapture(device=device) as capture:
                 self._find_and_integrate(slot)
@@ -368,7 +386,8 @@ def _no_survey() -> SceneSurvey:
     raise InputError("voxel_size: a live volume cannot take it from frames that are still to come; give it in metres")
 
 
-def _fingerprint(frame: Frame) -> int:
+def _fingerprint(frame: Frame, weights: NDArray[np.float32] | None) -> int:
     """Return a number that tells a frame from another: of its pose and of every 16th pixel in both directions."""
-    parts = (np.asarray(frame.world_from_camera, dtype=np.float64), frame.depth[::16, ::16], frame.color[::16, ::16])
+    parts = [np.asarray(frame.world_from_camera, dtype=np.float64), frame.depth[::16, ::16], frame.color[::16, ::16]]
+    parts += [] if weights is None else [weights[::16, ::16].astype(np.float32)]
     return zlib.crc32(b"".join(np.ascontiguousarray(part).tobytes() for part in parts))

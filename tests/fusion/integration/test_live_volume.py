@@ -255,6 +255,23 @@ def test_options_that_make_no_volume_are_refused(live, options):
         live(**options)
 
 
+def test_the_users_weights_weigh_pixels(device, live, frames):
+    weights = np.random.default_rng(3).uniform(0.2, 2, frames[0].depth.shape).astype(np.float32)
+    volume = live()
+    volume.integrate(frames[0], pixel_weights=weights)
+    plain = by_block(fuse(frames[:1], device))
+    for block, sums in by_block(volume.volume).items():
+        seen = plain[block][:, 1] > 0
+        assert ((sums[seen, 1] >= 0.2) & (sums[seen, 1] <= 2)).all()
+        np.testing.assert_allclose(sums[seen, 0], sums[seen, 1] * plain[block][seen, 0], atol=1e-5)
+    with pytest.raises(InputError, match="frame 0: its images or pose are not those"):
+        volume.remove(frames[0])
+    volume.remove(frames[0], pixel_weights=weights)
+    assert all((sums == 0).all() for sums in by_block(volume.volume).values())
+    with pytest.raises(InputError, match="frame 1: expected pixel_weights"):
+        volume.integrate(frames[1], pixel_weights=-weights)
+
+
 def test_another_image_under_the_same_number_is_not_removed(live, frames):
     volume = live()
     volume.integrate(frames[0])
