@@ -116,7 +116,7 @@ def _joined(folders: Sequence[Path], records: Sequence[ReconstructionRecord], ou
 
 
 def _require_disjoint(folders: Sequence[Path], records: Sequence[ReconstructionRecord]) -> None:
-    """Raise InputError unless these are two or more, of different frames of one dataset."""
+    """Raise InputError unless these are two or more, of different frames of one dataset, fused alike."""
     if len(records) < 2:
         raise InputError(f"{folders[0]}: nothing to merge it with; name two reconstructions or more")
     datasets = [(folder / record.dataset).resolve() for folder, record in zip(folders, records, strict=True)]

@@ -23,8 +23,7 @@ class FrameBatch:
     ``depth`` (frames, height, width) planar, 0 = invalid, in steps of ``depth_scale`` metres: uint16 as images store
     it, or float32 metres, then ``depth_scale`` is 1. ``color`` (frames, height, 3 · width) uint8, RGB, or None for
     depth alone; ``confidence`` (frames, height, width) uint8 is room for that of the colours (``color_confidence``);
-    ``pixel_weights`` (frames, height, width) float32, None
-    where all are 1; ``camera_from_world`` (frames,) mat44d.
+    ``pixel_weights`` (frames, height, width) float32, None where all are 1; ``camera_from_world`` (frames,) mat44d.
     """
 
     camera: PinholeCamera

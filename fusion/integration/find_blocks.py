@@ -8,9 +8,7 @@ than a block and its depths span no more than the truncation. Elsewhere it is di
 spans an edge in depth, its near and far pixels make a piece each.
 """
 
-import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 
 from datagen.errors import InputError
 from fusion.devices import launch_in_slabs
@@ -20,7 +18,6 @@ from fusion.frames.frame_matrices import FrameMatrices
 from fusion.volume.block_table import (
     BLOCK_SIDE,
     COORDINATE_LIMIT,
-    ENTERED,
     OUT_OF_RANGE,
     TABLE_FULL,
     BlockArrays,
@@ -37,7 +34,6 @@ _TILE = wp.constant(float(TILE))
 _CELL_TILES = wp.constant(CELL_TILES)
 _SIDE = wp.constant(float(BLOCK_SIDE))
 _FAR = wp.constant(3.0e38)
-_ENTERED = wp.constant(ENTERED)
 _TABLE_FULL = wp.constant(TABLE_FULL)
 _OUT_OF_RANGE = wp.constant(OUT_OF_RANGE)
 
@@ -116,23 +112,13 @@ def touches(piece: Piece, middle: wp.vec3) -> bool:
     )
 
 
-@wp.struct
-class Request:
-    """What a frame asks of the table: ``entered`` new blocks, ``problem`` 0 or TABLE_FULL or OUT_OF_RANGE."""
-
-    entered: int
-    problem: int
-
-
 @wp.func
-def enter_piece(piece: Piece, voxel_size: float, table: BlockArrays) -> Request:
-    """Enter every block with a voxel centre in the piece."""
-    request = Request()
+def enter_piece(piece: Piece, voxel_size: float, table: BlockArrays) -> int:
+    """Enter every block with a voxel centre in the piece; returns 0, or what stands in the way."""
     side = _SIDE * voxel_size
     limit = side * float(COORDINATE_LIMIT)
     if wp.max(wp.max(wp.abs(piece.low)), wp.max(wp.abs(piece.high))) >= limit:
-        request.problem = _OUT_OF_RANGE
-        return request
+        return _OUT_OF_RANGE
     margin = 1.0e-3
     first_x = int(wp.ceil((piece.low[0] + voxel_size) / side - 1.0 - margin))
     first_y = int(wp.ceil((piece.low[1] + voxel_size) / side - 1.0 - margin))
@@ -146,12 +132,9 @@ def enter_piece(piece: Piece, voxel_size: float, table: BlockArrays) -> Request:
                 middle = side * wp.vec3(float(x), float(y), float(z)) + wp.vec3(piece.half, piece.half, piece.half)
                 if touches(piece, middle):
                     result = enter_block(table, wp.vec3i(x, y, z))
-                    if result == _ENTERED:
-                        request.entered += 1
-                    elif result >= _TABLE_FULL:
-                        request.problem = result
-                        return request
-    return request
+                    if result >= _TABLE_FULL:
+                        return result
+    return 0
 
 
 @wp.func
@@ -179,8 +162,8 @@ def enter_range(
     truncation: float,
     voxel_size: float,
     table: BlockArrays,
-) -> Request:
-    """Enter the blocks of a square of ``size`` tiles whose depths span [near, far]."""
+) -> int:
+    """Enter the blocks of a square of ``size`` tiles whose depths span [near, far]; returns as ``enter_piece``."""
     # Bilinear sampling reaches up to a pixel beyond the outermost centres; a little more covers rounding.
     left = float(u) * _TILE - 1.01
     top = float(v) * _TILE - 1.01
@@ -205,7 +188,7 @@ def _enter_blocks(
     truncation: float,
     voxel_size: float,
     table: BlockArrays,
-    answers: wp.array2d(dtype=int),
+    answers: wp.array(dtype=int),
 ) -> None:
     index = wp.tid() + first
     columns = (ranges.shape[2] + _CELL_TILES - 1) / _CELL_TILES
@@ -215,7 +198,6 @@ def _enter_blocks(
     frame = index / (columns * rows)
     pose = world_from_camera[frame]
     widest = _SIDE * voxel_size * wp.min(intrinsics[0], intrinsics[1]) / _TILE
-    entered = int(0)
     # Squares of the cell in the order of a quadtree's walk: where one is entered whole, its parts are passed over.
     step = int(0)
     while step < _CELL_TILES * _CELL_TILES:
@@ -233,23 +215,20 @@ def _enter_blocks(
             whole = span[1] == 0.0 or (span[1] - span[0] <= 2.0 * truncation and float(size) * span[1] <= widest)
             if not whole:
                 size = size >> 1
-        request = Request()
+        problem = int(0)
         if whole:
             if span[1] > 0.0:
-                request = enter_range(span[0], span[1], u, v, size, pose, intrinsics, truncation, voxel_size, table)
+                problem = enter_range(span[0], span[1], u, v, size, pose, intrinsics, truncation, voxel_size, table)
         elif u < ranges.shape[2] and v < ranges.shape[1]:
             tile = ranges[frame, v, u]
             if tile[0] < NONE_NEAR:
-                request = enter_range(tile[0], tile[1], u, v, 1, pose, intrinsics, truncation, voxel_size, table)
-            if tile[2] < NONE_NEAR and request.problem == 0:
-                entered += request.entered
-                request = enter_range(tile[2], tile[3], u, v, 1, pose, intrinsics, truncation, voxel_size, table)
-        entered += request.entered
-        if request.problem != 0:
-            answers[index, 1] = request.problem
+                problem = enter_range(tile[0], tile[1], u, v, 1, pose, intrinsics, truncation, voxel_size, table)
+            if tile[2] < NONE_NEAR and problem == 0:
+                problem = enter_range(tile[2], tile[3], u, v, 1, pose, intrinsics, truncation, voxel_size, table)
+        if problem != 0:
+            answers[index] = problem
             break
         step += size * size
-    answers[index, 0] = entered
 
 
 def launch_find_blocks(
@@ -261,14 +240,14 @@ def launch_find_blocks(
     truncation: float,
     voxel_size: float,
 ) -> wp.array:
-    """Enter the blocks of the batch's bands, as far as the table has room; returns the answers of ``_enter_blocks``.
+    """Enter the blocks of the batch's bands, as far as the table has room; returns (frames · cells,) answers.
 
-    They are (frames · cells, 2): how many blocks each cell of each frame added, and what stood in its way.
+    They are 0, TABLE_FULL or OUT_OF_RANGE: what stood in the way of each cell of each frame.
     """
     camera = batch.camera
     _, rows, columns = tiles.ranges.shape
     cells = len(batch) * -(-rows // CELL_TILES) * -(-columns // CELL_TILES)
-    answers = wp.zeros((cells, 2), dtype=int, device=table.device)
+    answers = wp.zeros(cells, dtype=int, device=table.device)
     launch_in_slabs(
         _enter_blocks,
         dim=cells,
@@ -294,25 +273,21 @@ def find_blocks(
     *,
     truncation: float,
     voxel_size: float,
-) -> NDArray[np.int64]:
-    """Enter the blocks that the batch's truncation bands touch; returns how many each frame added, (frames,).
+) -> None:
+    """Enter the blocks that the batch's truncation bands touch.
 
     Which they are depends on the frames alone. ``truncation`` and ``voxel_size`` are metres. Raises BlockLimitError
     where the table may not grow as far as the frames ask, and InputError for surfaces too far away to be numbered.
     """
-    entered = np.zeros(len(batch), dtype=np.int64)
     while True:
         answers = launch_find_blocks(table, batch, tiles, matrices, truncation=truncation, voxel_size=voxel_size)
-        per_frame = answers.numpy().reshape(len(batch), -1, 2)
-        entered += per_frame[:, :, 0].sum(axis=1)
-        problem = per_frame[:, :, 1].max()
+        problem = answers.numpy().max()
         if problem == OUT_OF_RANGE:
             raise out_of_range(voxel_size)
         if problem != TABLE_FULL:
             break
         table.grow()
     table.read_count()
-    return entered
 
 
 def out_of_range(voxel_size: float) -> InputError:

@@ -11,17 +11,17 @@ from fusion.frames.frame_source import FrameSource
 from fusion.frames.survey import SceneSurvey, combine
 from fusion.integration.fuse_batch import find_batch_blocks, integrate_batch
 from fusion.integration.options import Integration
-from fusion.integration.volume_memory import block_budget, least_blocks, too_large
+from fusion.integration.volume_memory import least_blocks, too_large
 from fusion.reconstruction_config import Lengths
 from fusion.stopwatch import Stopwatch
 from fusion.volume.block_table import BlockLimitError
+from fusion.volume.memory_budget import block_budget
 from fusion.volume.tsdf_volume import Volume
 from fusion.volume.voxel_counts import UpdateCounter
 from fusion.volume.voxels import Storage
 
 CPU_BATCH = 16
 """On the CPU the images of a batch should stay in its cache; a GPU rather gains from visiting voxels less often."""
-
 
 TILES_BYTES = 64 << 20
 """How much of what the allocation pass found out about the images is kept for integration."""

@@ -6,24 +6,35 @@ import warp as wp
 
 from datagen.progress import ProgressReporter, silent
 from fusion.devices import Device, load_kernels
-from fusion.frames import color_confidence, depth_tiles, pixel_weights
+from fusion.frames import color_confidence, depth_tiles
 from fusion.frames.depth_tiles import DepthTiles
 from fusion.frames.frame_batch import FrameBatch
 from fusion.frames.frame_matrices import frame_matrices
-from fusion.integration import integrate
+from fusion.integration import integrate, pixel_weights
 from fusion.integration.find_blocks import find_blocks
 from fusion.integration.options import Integration
 from fusion.integration.visible_blocks import visible_blocks
 from fusion.volume.block_table import BlockTable
 from fusion.volume.tsdf_volume import Volume
 
+wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+
 KERNEL_MODULES = (
+    "fusion.integration.fuse_batch",
     "fusion.volume.block_table",
     "fusion.frames.frame_matrices",
     "fusion.integration.find_blocks",
     "fusion.frames.farthest_depths",
     "fusion.integration.visible_blocks",
 )
+
+
+@wp.kernel
+def _hold_back(problem: wp.array(dtype=int), masks: wp.array2d(dtype=wp.uint32)) -> None:
+    if problem[0] != 0:
+        number = wp.tid()
+        for part in range(masks.shape[1]):
+            masks[number, part] = wp.uint32(0)
 
 
 def load_fusion_kernels(
@@ -60,17 +71,22 @@ def integrate_batch(
     *,
     remove: bool = False,
     tiles: DepthTiles | None = None,
+    blocks: int | None = None,
+    problem: wp.array | None = None,
 ) -> wp.array:
     """Add a batch of frames to the blocks that they see, or take it away.
 
-    ``tiles`` are the batch's, where they are known already. Returns the frame masks (blocks, 4) of ``visible_blocks``:
-    which parts of which blocks were gone through.
+    ``tiles`` are the batch's, where they are known already; only the first ``blocks`` blocks are gone through, if
+    given. Nothing is added where ``problem[0]``, on the device, is not 0. Returns the frame masks (blocks, 4) of
+    ``visible_blocks``: which parts of which blocks were gone through.
     """
     tiles = tiles or survey_batch(batch, truncation=volume.truncation)
     color_confidence.judge_colors(batch, step=volume.truncation)
     weights = pixel_weights.pixel_weights(batch, options.weighting, step=volume.truncation)
     matrices = frame_matrices(batch, volume.voxel_size)
-    masks = visible_blocks(volume.table, batch, tiles, matrices, truncation=volume.truncation)
+    masks = visible_blocks(volume.table, batch, tiles, matrices, truncation=volume.truncation, blocks=blocks)
+    if problem is not None:
+        wp.launch(_hold_back, dim=masks.shape[0], inputs=[problem], outputs=[masks], device=volume.device)
     weighed = replace(batch, pixel_weights=weights)
     integrate.integrate_frames(volume, weighed, matrices, masks, options, remove=remove)
     return masks

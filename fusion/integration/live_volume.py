@@ -21,22 +21,20 @@ from datagen.dataset import Frame
 from datagen.errors import InputError
 from datagen.rigid import Matrix, rigid
 from fusion.devices import load_kernels, resolve_device
-from fusion.frames import color_confidence, depth_tiles, pixel_weights
+from fusion.frames.depth_tiles import DepthTiles
 from fusion.frames.frame_batch import FrameBatch, FrameUploader
 from fusion.frames.frame_matrices import frame_matrices
 from fusion.frames.frame_source import near_origin
 from fusion.frames.survey import SceneSurvey
-from fusion.integration import integrate
 from fusion.integration.find_blocks import launch_find_blocks, out_of_range
-from fusion.integration.fuse_batch import load_fusion_kernels
+from fusion.integration.fuse_batch import integrate_batch, load_fusion_kernels, survey_batch
 from fusion.integration.options import Integration
-from fusion.integration.visible_blocks import visible_blocks
-from fusion.integration.volume_memory import INDEX_LIMIT, block_budget
 from fusion.reconstruction_config import EXACT, ReconstructionConfig, check_length, choose_lengths
 from fusion.surface.marching_cubes import marching_cubes
 from fusion.surface.mesh import Mesh
 from fusion.surface.mesh_pieces import MeshPiece, MeshPieces
 from fusion.volume.block_table import OUT_OF_RANGE, TABLE_FULL, BlockArrays
+from fusion.volume.memory_budget import INDEX_LIMIT, block_budget
 from fusion.volume.tsdf_volume import Volume
 from fusion.volume.voxels import Storage
 
@@ -53,26 +51,17 @@ _TABLE_FULL = wp.constant(TABLE_FULL)
 
 
 @wp.kernel
-def _sum_up(answers: wp.array2d(dtype=int), table: BlockArrays, outcome: wp.array(dtype=int)) -> None:
+def _sum_up(answers: wp.array(dtype=int), table: BlockArrays, outcome: wp.array(dtype=int)) -> None:
     # outcome: what stood in the way, and how many blocks there are.
     index = wp.tid()
     room = table.blocks.shape[0]
-    if answers[index, 1] != 0:
-        wp.atomic_max(outcome, 0, answers[index, 1])
+    if answers[index] != 0:
+        wp.atomic_max(outcome, 0, answers[index])
     if index == 0:
         outcome[1] = wp.min(table.count[0], room)
         if table.count[0] > room:
             # Another frame claimed what it was given no room for, and this one may have found that present.
             wp.atomic_max(outcome, 0, _TABLE_FULL)
-
-
-@wp.kernel
-def _hold_back(outcome: wp.array(dtype=int), masks: wp.array2d(dtype=wp.uint32)) -> None:
-    # A frame that did not find room for all of its blocks waits until it does.
-    if outcome[0] != 0:
-        number = wp.tid()
-        for part in range(masks.shape[1]):
-            masks[number, part] = wp.uint32(0)
 
 
 @wp.kernel
@@ -273,20 +262,16 @@ class LiveVolume:
         """Start all that a frame does; on CUDA by its graph, captured after the kernels ran once."""
         device = self.volume.device
         assert slot.batch is not None, "a slot is launched with a frame in it"
-        if slot.batch.pixel_weights is not None:
-            # The user's weights lie elsewhere each time, which no graph knows of.
-            self._find_and_integrate(slot)
-            if device.is_cuda:
-                slot.done = wp.get_stream(device).record_event(slot.done)
-            return
-        if slot.graph is None and slot.done is not None and device.is_cuda and wp.is_mempool_enabled(device):
+        # The user's weights lie elsewhere each time, which no graph knows of.
+        may_capture = device.is_cuda and slot.batch.pixel_weights is None and wp.is_mempool_enabled(device)
+        if may_capture and slot.graph is None and slot.done is not None:
             with wp.ScopedCapture(device=device) as capture:
                 self._find_and_integrate(slot)
             slot.graph = capture.graph
-        if slot.graph is None:
-            self._find_and_integrate(slot)
-        else:
+        if may_capture and slot.graph is not None:
             wp.capture_launch(slot.graph)
+        else:
+            self._find_and_integrate(slot)
         if device.is_cuda:
             slot.done = wp.get_stream(device).record_event(slot.done)
 
@@ -294,7 +279,7 @@ class LiveVolume:
         assert slot.batch is not None, "a slot is launched with a frame in it"
         table = self.volume.table
         lengths = {"truncation": self.volume.truncation, "voxel_size": self.volume.voxel_size}
-        tiles = depth_tiles.depth_tiles(slot.batch, split_beyond=2 * self.volume.truncation)
+        tiles = survey_batch(slot.batch, truncation=self.volume.truncation)
         matrices = frame_matrices(slot.batch, self.volume.voxel_size)
         answers = launch_find_blocks(table, slot.batch, tiles, matrices, **lengths)
         self._outcome.zero_()
@@ -314,21 +299,20 @@ class LiveVolume:
         *,
         blocks: int,
         remove: bool = False,
-        tiles: depth_tiles.DepthTiles | None = None,
+        tiles: DepthTiles | None = None,
         hold_back: bool = False,
     ) -> None:
         """Integrate a frame into the first ``blocks`` blocks, or ``hold_back`` where it found no room for its own."""
-        volume, truncation = self.volume, self.volume.truncation
-        tiles = tiles or depth_tiles.depth_tiles(batch, split_beyond=2 * truncation)
-        matrices = frame_matrices(batch, volume.voxel_size)
-        color_confidence.judge_colors(batch, step=truncation)
-        weights = pixel_weights.pixel_weights(batch, self.integration.weighting, step=truncation)
-        weighed = replace(batch, pixel_weights=weights)
-        masks = visible_blocks(volume.table, batch, tiles, matrices, truncation=truncation, blocks=blocks)
-        if hold_back:
-            wp.launch(_hold_back, dim=blocks, inputs=[self._outcome], outputs=[masks], device=volume.device)
-        integrate.integrate_frames(volume, weighed, matrices, masks, self.integration, remove=remove)
-        wp.launch(_note_changes, dim=blocks, inputs=[masks], outputs=[self._changed], device=volume.device)
+        masks = integrate_batch(
+            self.volume,
+            batch,
+            self.integration,
+            remove=remove,
+            tiles=tiles,
+            blocks=blocks,
+            problem=self._outcome if hold_back else None,
+        )
+        wp.launch(_note_changes, dim=blocks, inputs=[masks], outputs=[self._changed], device=self.volume.device)
 
     def _settle(self, slot: _Slot) -> None:
         """See to it that a slot's frame is in every block that it asked for."""
@@ -356,7 +340,7 @@ class LiveVolume:
         """Let the table grow until all blocks of a frame have entered."""
         table, volume = self.volume.table, self.volume
         wp.synchronize_device(volume.device)
-        tiles = depth_tiles.depth_tiles(batch, split_beyond=2 * volume.truncation)
+        tiles = survey_batch(batch, truncation=volume.truncation)
         matrices = frame_matrices(batch, volume.voxel_size)
         problem = TABLE_FULL
         try:
@@ -365,7 +349,7 @@ class LiveVolume:
                 answers = launch_find_blocks(
                     table, batch, tiles, matrices, truncation=volume.truncation, voxel_size=volume.voxel_size
                 )
-                problem = int(answers.numpy()[:, 1].max())
+                problem = int(answers.numpy().max())
         finally:
             table.drop_unnumbered()
             self._reserve()

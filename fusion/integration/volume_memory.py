@@ -4,31 +4,17 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 
 from datagen.errors import InputError
-from fusion.devices import Device, free_memory
+from fusion.devices import Device
 from fusion.frames.frame_batch import FrameBatch
 from fusion.frames.survey import FrameSurvey
 from fusion.integration.fuse_batch import find_batch_blocks
 from fusion.reconstruction_config import LARGEST_LENGTH, Lengths
-from fusion.volume.block_table import BLOCK_SIDE, BLOCK_VOXELS, BlockLimitError, BlockTable
-from fusion.volume.voxels import BYTES_PER_VOXEL, Storage
-
-USABLE_SHARE = 0.7
-"""How much of the free memory a volume may take; meshing needs some beside it."""
-
-INDEX_LIMIT = (1 << 31) // BLOCK_VOXELS - 1
-"""Voxels are indexed by 32-bit integers."""
+from fusion.volume.block_table import BLOCK_SIDE, BlockLimitError, BlockTable
+from fusion.volume.memory_budget import block_budget, bytes_per_block
+from fusion.volume.voxels import Storage
 
 OUTSTANDING = 4
 """A frame that sees this many times the surface of the others is held to be at fault."""
-
-
-def block_budget(device: Device, storage: Storage) -> int:
-    """Return how many blocks a volume on ``device`` may have."""
-    return min(int(USABLE_SHARE * free_memory(device) / _bytes_per_block(storage)), INDEX_LIMIT)
-
-
-def _bytes_per_block(storage: Storage) -> int:
-    return BLOCK_VOXELS * BYTES_PER_VOXEL[storage]
 
 
 def least_blocks(survey: FrameSurvey, lengths: Lengths) -> float:
@@ -71,15 +57,15 @@ def too_large(
         fitting = coarser.voxel_size * (count / (0.8 * budget)) ** power
         step = 10.0 ** (math.floor(math.log10(fitting)) - 1)
         remedy = f"{math.ceil(fitting / step) * step:.3g} fits, or {remedy}"
-    bytes_per_block = _bytes_per_block(storage)
+    block_bytes = bytes_per_block(storage)
     return InputError(
         f"--voxel-size {lengths.voxel_size:g}: the volume would need more than the "
-        f"{budget * bytes_per_block / 2**30:.1f} GiB that {device.alias} can give it; {remedy}"
-        f"{_frame_at_fault(surveys, lengths, bytes_per_block)}"
+        f"{budget * block_bytes / 2**30:.1f} GiB that {device.alias} can give it; {remedy}"
+        f"{_frame_at_fault(surveys, lengths, block_bytes)}"
     )
 
 
-def _frame_at_fault(surveys: Mapping[int, FrameSurvey], lengths: Lengths, bytes_per_block: int) -> str:
+def _frame_at_fault(surveys: Mapping[int, FrameSurvey], lengths: Lengths, block_bytes: int) -> str:
     """Name the frame that sees far more surface than the others do; say nothing where none stands out."""
     by_area = sorted(surveys, key=lambda frame_id: surveys[frame_id].surface_area)
     worst, others = surveys[by_area[-1]], by_area[:-1]
@@ -87,7 +73,7 @@ def _frame_at_fault(surveys: Mapping[int, FrameSurvey], lengths: Lengths, bytes_
         return ""
     return (
         f"; frame {by_area[-1]}, whose depth reaches {worst.farthest:.3g} m, alone asks for at least "
-        f"{least_blocks(worst, lengths) * bytes_per_block / 2**30:.2g} GiB"
+        f"{least_blocks(worst, lengths) * block_bytes / 2**30:.2g} GiB"
     )
 
 

@@ -15,7 +15,7 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 _VOXELS = wp.constant(BLOCK_VOXELS)
 _ALL = wp.constant(wp.uint64(0xFFFFFFFFFFFFFFFF))
-_FEW_LAYERS = 4096
+_FEW_LAYERS = 2048
 NONE = wp.constant(wp.uint64(0))
 """The word of no voxels."""
 _ONE = wp.constant(wp.uint64(1))
@@ -211,7 +211,4 @@ def launch_over_layers(kernel: Any, *, dim: int, inputs: list[Any], outputs: lis
 
     Handing slabs to the cores takes as long as some thousand layers do, and live a frame changes fewer.
     """
-    if 0 < dim <= _FEW_LAYERS and device.is_cpu:
-        wp.launch(kernel, dim=dim, inputs=[0, *inputs], outputs=outputs, device=device)
-    else:
-        launch_in_slabs(kernel, dim=dim, inputs=inputs, outputs=outputs, device=device)
+    launch_in_slabs(kernel, dim=dim, inputs=inputs, outputs=outputs, device=device, least_slab=_FEW_LAYERS)

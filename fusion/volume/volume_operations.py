@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from datagen.errors import InputError
 from fusion.devices import launch_in_slabs
-from fusion.integration.volume_memory import block_budget
 from fusion.volume.block_table import BLOCK_SIDE, BLOCK_VOXELS, COORDINATE_LIMIT, find_block, in_morton_order
+from fusion.volume.memory_budget import block_budget
 from fusion.volume.tsdf_volume import Volume
 from fusion.volume.voxels import Storage, Voxels, VoxelSums, set_sums, sums_of
 

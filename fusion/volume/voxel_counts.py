@@ -12,24 +12,13 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 _BLOCK_VOXELS = wp.constant(BLOCK_VOXELS)
 
 
-@wp.func_native("""
-#ifdef __CUDA_ARCH__
-    return __popc(bits);
-#else
-    return __builtin_popcount(bits);
-#endif
-""")
-def bit_count(bits: wp.uint32) -> int:
-    """Return how many bits are set."""
-
-
 @wp.kernel
 def _count_frames(masks: wp.array2d(dtype=wp.uint32), total: wp.array(dtype=wp.int64)) -> None:
     block = wp.tid()
     count = int(0)
     parts = masks.shape[1]
     for part in range(parts):
-        count += bit_count(masks[block, part])
+        count += wp.bit_count(masks[block, part])
     if count > 0:
         wp.atomic_add(total, 0, wp.int64(count * (_BLOCK_VOXELS / parts)))
 

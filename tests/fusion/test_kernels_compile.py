@@ -9,8 +9,8 @@ import warp as wp
 
 import fusion
 from fusion.devices import resolve_device
-from fusion.frames import color_confidence, depth_tiles, pixel_weights
-from fusion.integration import integrate
+from fusion.frames import color_confidence, depth_tiles
+from fusion.integration import integrate, pixel_weights
 
 ARCHITECTURES = [75, 80, 90]
 

@@ -7,11 +7,11 @@ from synthetic_scene import SphereScene, icosphere, write_dataset
 
 from datagen.errors import InputError
 from datagen.open_dataset import open_dataset
-from fusion.integration import volume_memory
 from fusion.pose.locate import locate
 from fusion.reconstruct import reconstruct
 from fusion.reconstruction_config import ReconstructionConfig
 from fusion.reconstruction_files import read_record
+from fusion.volume import memory_budget
 
 SCENE = SphereScene()
 VOXEL_SIZE = 0.01
@@ -119,7 +119,7 @@ def test_frames_beyond_depth_max_are_left_out(device, tmp_path):
 def test_a_volume_that_does_not_fit_is_refused_with_the_size_that_does(
     device, dataset, tmp_path, monkeypatch, voxel_size
 ):
-    monkeypatch.setattr(volume_memory, "free_memory", lambda _: 40_000_000)
+    monkeypatch.setattr(memory_budget, "free_memory", lambda _: 40_000_000)
     with pytest.raises(InputError, match=r"would need more than .* GiB .* fits") as error:
         reconstruct(dataset, tmp_path / "out", config(device, voxel_size=voxel_size, frames="::4"))
     assert not (tmp_path / "out").exists()
@@ -133,7 +133,7 @@ def test_one_frame_with_far_depths_is_named_where_the_volume_does_not_fit(device
     frames[5].depth[:] = 60.0
     folder = write_dataset(tmp_path / "data", frames, depth_scale=0.001)
     data = open_dataset(folder)
-    monkeypatch.setattr(volume_memory, "free_memory", lambda _: 200_000_000)
+    monkeypatch.setattr(memory_budget, "free_memory", lambda _: 200_000_000)
     with pytest.raises(InputError, match=r"frame 5, whose depth reaches 60 m, alone asks for at least .* GiB") as error:
         reconstruct(data, tmp_path / "out", config(device, voxel_size=0.02))
     assert "leave far depths out with --depth-max" in str(error.value)
@@ -164,7 +164,7 @@ def test_a_truncation_of_less_than_a_voxel_or_far_too_many_is_refused(device, da
 
 
 def test_a_truncation_that_was_asked_for_stays_in_the_size_that_fits(device, dataset, tmp_path, monkeypatch):
-    monkeypatch.setattr(volume_memory, "free_memory", lambda _: 40_000_000)
+    monkeypatch.setattr(memory_budget, "free_memory", lambda _: 40_000_000)
     options = {"frames": "::4", "truncation": 0.1}
     with pytest.raises(InputError, match="fits") as error:
         reconstruct(dataset, tmp_path / "out", config(device, voxel_size=0.002, **options))

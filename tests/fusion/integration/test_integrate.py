@@ -9,10 +9,10 @@ from synthetic_scene import CAMERA, SphereScene
 from datagen.camera import PinholeCamera
 from datagen.rigid import inverse, transform_points
 from fusion.frames.frame_batch import FrameUploader
-from fusion.frames.pixel_weights import pixel_weights
 from fusion.integration import integrate
 from fusion.integration.fuse_batch import find_batch_blocks, integrate_batch
 from fusion.integration.options import Integration
+from fusion.integration.pixel_weights import pixel_weights
 from fusion.surface.marching_cubes import marching_cubes
 from fusion.volume.block_table import BLOCK_VOXELS
 from fusion.volume.tsdf_volume import Volume
