@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from datagen.atomic_write import write_json
 from datagen.camera import PinholeCamera
 from datagen.errors import InputError
-from datagen.validation import describe_validation_error
+from datagen.pydantic_errors import describe_validation_error
 
 METADATA_FILE = "dataset.json"
 FRAMES_FOLDER = "frames"

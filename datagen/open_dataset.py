@@ -5,7 +5,7 @@ from pathlib import Path
 from datagen.dataset import Dataset
 from datagen.dataset_format import FRAMES_FOLDER, METADATA_FILE, read_metadata
 from datagen.errors import InputError
-from datagen.seven_scenes import is_seven_scenes, open_seven_scenes
+from datagen.formats.seven_scenes import is_seven_scenes, open_seven_scenes
 
 
 def open_dataset(folder: Path) -> Dataset:

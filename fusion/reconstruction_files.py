@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from datagen.atomic_write import write_json
 from datagen.dataset_format import Intrinsics
 from datagen.errors import InputError
-from datagen.validation import describe_validation_error
+from datagen.pydantic_errors import describe_validation_error
 
 RECORD_FILE = "reconstruction.json"
 MESH_FILE = "mesh.ply"

@@ -8,7 +8,7 @@ import numpy as np
 
 from datagen.camera import PinholeCamera
 from datagen.rigid import Matrix, rigid
-from datagen.scene_spec import CameraSettings
+from datagen.scene_spec.camera_settings import CameraSettings
 
 BLENDER_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 """The camera's axes: OpenCV's y down and z forward are Blender's −y and −z. It is its own inverse."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from datagen.blender.camera import read_pose
 from datagen.color import srgb8_from_linear
 from datagen.rigid import Matrix
-from datagen.scene_spec import RenderSettings
+from datagen.scene_spec.render_settings import RenderSettings
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,15 +7,10 @@ import bpy
 from mathutils import Vector
 
 from datagen.color import linear_from_srgb
-from datagen.scene_spec import (
-    DEFAULT_LIGHT_SIZE,
-    DEFAULT_SUN_ANGLE_DEG,
-    LightSettings,
-    MaterialSettings,
-    ObjectSettings,
-    Scene,
-    WorldSettings,
-)
+from datagen.scene_spec.lights import DEFAULT_LIGHT_SIZE, DEFAULT_SUN_ANGLE_DEG, LightSettings, WorldSettings
+from datagen.scene_spec.materials import MaterialSettings
+from datagen.scene_spec.objects import ObjectSettings
+from datagen.scene_spec.scene import Scene
 
 
 def build_scene(spec: Scene) -> bpy.types.Scene:

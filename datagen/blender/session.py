@@ -13,7 +13,7 @@ from datagen.blender.scene import build_scene
 from datagen.blender.trajectory import animate_camera
 from datagen.dataset_format import FRAMES_FOLDER, GROUND_TRUTH_FILE
 from datagen.dataset_writer import write_frame
-from datagen.scene_spec import Scene
+from datagen.scene_spec.scene import Scene
 
 
 class RenderSession:

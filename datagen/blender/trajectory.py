@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.errors import InputError
-from datagen.scene_spec import Keyframe
+from datagen.scene_spec.keyframes import Keyframe
 
 INTERPOLATION = {"linear": "LINEAR", "smooth": "BEZIER"}
 SMALLEST_KEY_SPACING = 0.02

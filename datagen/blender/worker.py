@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
 from datagen.errors import InputError
-from datagen.scene_spec import Scene
+from datagen.scene_spec.scene import Scene
 
 if TYPE_CHECKING:
     from datagen.blender.session import RenderSession

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from datagen.scene_spec import Scene
+from datagen.scene_spec.scene import Scene
 
 
 @pytest.fixture(scope="session")

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from datagen.errors import InputError, WorkerError
-from datagen.scene_spec import Scene
+from datagen.scene_spec.scene import Scene
 
 WORKER_MODULE = "datagen.blender.worker"
 LOG_TAIL_BYTES = 2000

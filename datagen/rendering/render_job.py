@@ -23,8 +23,8 @@ from datagen.dataset_format import (
 from datagen.errors import InputError
 from datagen.open_dataset import open_dataset
 from datagen.progress import ProgressReporter, silent
-from datagen.render_workers import Job, Report, Task, render_workers
-from datagen.scene_spec import Scene
+from datagen.rendering.render_workers import Job, Report, Task, render_workers
+from datagen.scene_spec.scene import Scene
 
 DEVICES = ("auto", "cpu", "optix", "cuda", "hip", "metal", "oneapi")
 IRRELEVANT_TO_FRAMES = {"description"}

@@ -15,10 +15,10 @@ import psutil
 import pytest
 
 import datagen
-from datagen import render_workers
 from datagen.errors import InputError, WorkerError
 from datagen.open_dataset import open_dataset
-from datagen.render_job import render_dataset
+from datagen.rendering import render_workers
+from datagen.rendering.render_job import render_dataset
 
 CHECKOUT = Path(datagen.__file__).parents[1]
 FRAMES = 12
@@ -162,7 +162,7 @@ def test_a_lost_file_is_rendered_again_and_leftovers_are_removed(scene_file, uni
 
 
 def test_a_complete_dataset_returns_without_starting_blender(scene_file, uninterrupted, monkeypatch):
-    from datagen.scene_files import read_scene
+    from datagen.scene_spec.scene_files import read_scene
 
     monkeypatch.setattr(render_workers, "WORKER_MODULE", "no.such.module")
     assert len(render_dataset(read_scene(scene_file), uninterrupted).frame_ids) == FRAMES

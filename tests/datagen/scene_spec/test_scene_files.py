@@ -3,8 +3,8 @@ import json
 import pytest
 
 from datagen.errors import InputError
-from datagen.scene_files import load_scene, read_scene, shipped_scenes, with_render_settings
-from datagen.scene_spec import Scene
+from datagen.scene_spec.scene import Scene
+from datagen.scene_spec.scene_files import load_scene, read_scene, shipped_scenes, with_render_settings
 
 MINIMAL = """
 name = "test"

@@ -9,8 +9,9 @@ from typing import Any
 from pydantic import ValidationError
 
 from datagen.errors import InputError
-from datagen.scene_spec import RenderSettings, Scene
-from datagen.validation import describe_validation_error
+from datagen.pydantic_errors import describe_validation_error
+from datagen.scene_spec.render_settings import RenderSettings
+from datagen.scene_spec.scene import Scene
 
 SUFFIX = ".toml"
 
@@ -20,7 +21,7 @@ def scenes_folder() -> Path:
 
     An installed package carries them inside itself; in a source checkout they lie beside the package.
     """
-    package = Path(__file__).resolve().parent
+    package = Path(__file__).resolve().parents[1]
     installed = package / "scenes"
     return installed if installed.is_dir() else package.parent / "scenes"
 

@@ -1,0 +1,19 @@
+"""Types of command-line arguments that several commands take."""
+
+import argparse
+import re
+
+
+def image_size(text: str) -> tuple[int, int]:
+    """Return (width, height) of ``WxH``."""
+    match = re.fullmatch(r"(\d+)[xX×](\d+)", text)
+    if match is None:
+        raise argparse.ArgumentTypeError(f"{text!r} is no image size; expected WxH, for example 640x480")
+    return int(match[1]), int(match[2])
+
+
+def positive(text: str) -> int:
+    """Return a whole number from 1."""
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text!r} is no count; expected a whole number from 1")
+    return int(text)

@@ -1,0 +1,1 @@
+"""Dataset formats: how each one is told from the others, read and written."""
