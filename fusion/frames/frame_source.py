@@ -9,6 +9,7 @@ from types import TracebackType
 from typing import TypeAlias
 
 import numpy as np
+import psutil
 from numpy.typing import NDArray
 
 from datagen.dataset import Dataset
@@ -22,8 +23,11 @@ from fusion.frames.survey import FrameSurvey
 FARTHEST = 10_000.0
 """Metres from the world's origin within which frames are fused; meshes are stored in single precision."""
 
-CACHE_BYTES = 64 << 20
-"""How much decoded depth is kept, to spare a second decoding."""
+CACHE_BYTES = 256 << 20
+"""How much decoded depth is kept at most, to spare a second decoding: 436 images of 640×480."""
+
+CACHE_SHARE = 1 / 8
+"""Of the free memory, on smaller machines."""
 
 Depth: TypeAlias = NDArray[np.uint16]
 Color: TypeAlias = NDArray[np.uint8]
@@ -68,7 +72,8 @@ class FrameSource:
         if depth_max is not None:
             self._last_step = min(self._last_step, int(depth_max / dataset.depth_scale))
         survey.load()
-        self._cache_room = CACHE_BYTES // (2 * dataset.camera.width * dataset.camera.height)
+        cache_bytes = min(CACHE_BYTES, int(CACHE_SHARE * psutil.virtual_memory().available))
+        self._cache_room = cache_bytes // (2 * dataset.camera.width * dataset.camera.height)
         self._cache: dict[int, Depth] = {}
         self._lock = threading.Lock()
         self._pool = ThreadPoolExecutor(thread_name_prefix="decode")
