@@ -32,12 +32,13 @@ from datagen.camera import PinholeCamera
 from datagen.rigid import inverse, look_at
 from fusion.devices import launch_in_slabs, resolve_device
 from fusion.evaluation.evaluate import SurfaceSamples, sample_surface
-from fusion.evaluation.surface_distance import closest_points
+from fusion.surface.closest_points import closest_points
 from fusion.frames.frame_batch import FrameUploader
 from fusion.integration.fuse_batch import find_batch_blocks, integrate_batch, load_fusion_kernels
 from fusion.integration.options import DepthSampling, Integration, Weighting
 from fusion.surface.marching_cubes import marching_cubes
-from fusion.surface.mesh import Mesh, read_mesh
+from fusion.surface.mesh import Mesh
+from fusion.surface.mesh_files import read_mesh
 from fusion.volume.tsdf_volume import Volume
 
 wp.set_module_options({"enable_backward": False})

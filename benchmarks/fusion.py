@@ -33,7 +33,7 @@ from datagen.frame_selection import select_frames
 from datagen.open_dataset import open_dataset
 from fusion.devices import resolve_device
 from fusion.evaluation.evaluate import evaluate
-from fusion.surface.mesh import read_mesh
+from fusion.surface.mesh_files import read_mesh
 
 
 def compete(options):

@@ -14,6 +14,7 @@ from datagen.errors import InputError
 from datagen.frame_selection import select_frames
 from datagen.open_dataset import open_dataset
 from datagen.progress import on_terminal
+from fusion.commands import mesh
 from fusion.devices import resolve_device
 from fusion.evaluation.evaluate import Observers, evaluate
 from fusion.integration.options import DepthSampling, Integration, Weighting
@@ -21,7 +22,7 @@ from fusion.pose.locate import locate
 from fusion.reconstruct import reconstruct
 from fusion.reconstruction_config import ReconstructionConfig, check_length
 from fusion.reconstruction_files import RECORD_FILE, LocatedPose, ReconstructionRecord, poses_as_json, read_record
-from fusion.surface.mesh import read_mesh
+from fusion.surface.mesh_files import read_mesh
 from fusion.volume.voxels import Storage
 from fusion.volume_cli import add_volume_commands
 
@@ -75,6 +76,7 @@ def _parser() -> argparse.ArgumentParser:
     command.set_defaults(run=_evaluate)
 
     add_volume_commands(commands)
+    mesh.add_command(commands)
     return parser
 
 
@@ -171,10 +173,10 @@ def _evaluate(options: argparse.Namespace) -> None:
     thresholds = options.threshold or ([voxel_size / 2, voxel_size] if voxel_size else None)
     if thresholds is None:
         raise InputError(f"{options.mesh}: its voxel size is not known; give --voxel-size or --threshold")
-    mesh, ground_truth = read_mesh(options.mesh), read_mesh(_ground_truth_file(options.ground_truth))
+    ours, ground_truth = read_mesh(options.mesh), read_mesh(_ground_truth_file(options.ground_truth))
     with on_terminal() as progress:
         metrics = evaluate(
-            mesh,
+            ours,
             ground_truth,
             thresholds=thresholds,
             device=resolve_device(options.device),
@@ -191,10 +193,10 @@ def _evaluate(options: argparse.Namespace) -> None:
 def _ground_truth_file(path: Path) -> Path:
     if not path.is_dir():
         return path
-    mesh = open_dataset(path).ground_truth_mesh
-    if mesh is None:
+    truth = open_dataset(path).ground_truth_mesh
+    if truth is None:
         raise InputError(f"{path}: this dataset has no ground-truth mesh; name a mesh file")
-    return mesh
+    return truth
 
 
 def _observers(options: argparse.Namespace, folder: Path, record: ReconstructionRecord | None) -> Observers | None:

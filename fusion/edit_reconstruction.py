@@ -28,7 +28,8 @@ from fusion.reconstruction_files import (
     write_record,
 )
 from fusion.surface.marching_cubes import marching_cubes
-from fusion.surface.mesh import Mesh, write_ply
+from fusion.surface.mesh import Mesh
+from fusion.surface.mesh_files import write_mesh
 from fusion.volume.tsdf_volume import Volume
 from fusion.volume.volume_file import load_volume, save_volume
 from fusion.volume.volume_operations import crop, merge
@@ -191,7 +192,7 @@ def _write(out: Path, volume: Volume, mesh: Mesh, record: ReconstructionRecord) 
     """Write the files, the record last: what an older reconstruction left here goes first, as it no longer holds."""
     for older in (RECORD_FILE, POSES_FILE):
         (out / older).unlink(missing_ok=True)
-    write_ply(out / MESH_FILE, mesh)
+    write_mesh(out / MESH_FILE, mesh)
     save_volume(out / VOLUME_FILE, volume)
     write_record(out, record)
     return record

@@ -8,7 +8,7 @@ from datagen.progress import ProgressReporter, silent
 from fusion.devices import load_kernels, resolve_device
 from fusion.reconstruction_files import VOLUME_FILE
 from fusion.surface.marching_cubes import marching_cubes
-from fusion.surface.mesh import write_ply
+from fusion.surface.mesh_files import write_mesh
 from fusion.surface.surface_points import surface_points, write_points
 from fusion.volume.vdb_export import load_openvdb, write_vdb
 from fusion.volume.volume_file import load_volume
@@ -62,7 +62,7 @@ def export(
         return f"{len(cloud.points):,} points"
     mesh = marching_cubes(volume, min_weight=min_weight, normals=True)
     _require_surface(len(mesh.triangles), folder, min_weight)
-    write_ply(out, mesh)
+    write_mesh(out, mesh)
     return f"{len(mesh.vertices):,} vertices, {len(mesh.triangles):,} triangles"
 
 

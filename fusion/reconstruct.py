@@ -34,7 +34,8 @@ from fusion.reconstruction_files import (
 )
 from fusion.stopwatch import Stopwatch
 from fusion.surface.marching_cubes import marching_cubes
-from fusion.surface.mesh import Mesh, read_mesh, write_ply
+from fusion.surface.mesh import Mesh
+from fusion.surface.mesh_files import read_mesh, write_mesh
 from fusion.volume.tsdf_volume import Volume
 from fusion.volume.volume_file import save_volume
 from fusion.volume.voxel_counts import count_observed
@@ -143,7 +144,7 @@ def _write_arrays(folder: Path, mesh: Mesh, volume: Volume, progress: ProgressRe
         (folder / older).unlink(missing_ok=True)
     with ThreadPoolExecutor(thread_name_prefix="write") as pool:
         writing = [
-            pool.submit(write_ply, folder / MESH_FILE, mesh),
+            pool.submit(write_mesh, folder / MESH_FILE, mesh),
             pool.submit(save_volume, folder / VOLUME_FILE, volume),
         ]
         for written in writing:

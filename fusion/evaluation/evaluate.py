@@ -12,7 +12,7 @@ from datagen.errors import InputError
 from datagen.progress import ProgressReporter, silent
 from fusion.devices import Device
 from fusion.evaluation.observed_surface import observed_points
-from fusion.evaluation.surface_distance import closest_points
+from fusion.surface.closest_points import closest_points
 from fusion.surface.mesh import Mesh
 
 SAMPLES = 200_000

@@ -7,7 +7,7 @@ from datagen.errors import InputError
 from datagen.open_dataset import open_dataset
 from fusion.evaluation.evaluate import Observers, evaluate, sample_surface
 from fusion.evaluation.observed_surface import observed_points
-from fusion.evaluation.surface_distance import closest_points
+from fusion.surface.closest_points import closest_points
 from fusion.surface.mesh import Mesh
 
 

@@ -1,0 +1,1 @@
+"""The commands of ``fusion``, one module each: its options, one call, what it prints."""
