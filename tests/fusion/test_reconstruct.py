@@ -210,7 +210,7 @@ def test_a_query_needs_no_pose(device, dataset, tmp_path):
     reconstruct(dataset, tmp_path / "out", config(device, frames="::2"))
     known = locate(tmp_path / "out", dataset, frames="1:8:2", device=device.alias).poses
     queries = open_dataset(write_dataset(tmp_path / "queries", SCENE.frames_around(40)))
-    for path in queries.frames_folder.glob("*.pose.txt"):
+    for path in queries.folder.glob("frames/*.pose.txt"):
         path.unlink()
     found = locate(tmp_path / "out", queries, frames="1:8:2", device=device.alias).poses
     assert [pose.nearest for pose in found] == [pose.nearest for pose in known]
