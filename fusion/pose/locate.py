@@ -30,6 +30,7 @@ KERNEL_MODULES = (
     "fusion.surface.cells",
     "fusion.surface.marching_cubes",
     "fusion.pose.nearest_pose",
+    "fusion.surface.mesh_ray_casting",
 )
 
 

@@ -16,6 +16,7 @@ from datagen.errors import InputError
 from datagen.rigid import Matrix
 from fusion.devices import Device, launch_in_slabs
 from fusion.surface.mesh import Mesh
+from fusion.surface.mesh_ray_casting import cast_rays_at_mesh
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
@@ -44,30 +45,6 @@ class NearestPose:
 
     index: int
     scores: NDArray[np.float64]
-
-
-@wp.kernel
-def _cast_rays(
-    first: int,
-    mesh: wp.uint64,
-    world_from_camera: wp.array(dtype=wp.mat44),
-    intrinsics: wp.vec4,  # fx, fy, cx, cy
-    depth: wp.array3d(dtype=float),
-) -> None:
-    index = wp.tid() + first
-    width = depth.shape[2]
-    height = depth.shape[1]
-    u = index % width
-    v = (index / width) % height
-    candidate = index / (width * height)
-    # With z = 1 the length along the ray, in units of its own, is planar depth.
-    ray = wp.vec3((float(u) - intrinsics[2]) / intrinsics[0], (float(v) - intrinsics[3]) / intrinsics[1], 1.0)
-    pose = world_from_camera[candidate]
-    origin = wp.transform_point(pose, wp.vec3(0.0, 0.0, 0.0))
-    direction = wp.transform_vector(pose, ray)
-    length = wp.length(direction)
-    hit = wp.mesh_query_ray(mesh, origin, direction / length, 1.0e6)
-    depth[candidate, v, u] = wp.where(hit.result, hit.t / length, 0.0)
 
 
 @wp.kernel
@@ -101,23 +78,8 @@ def view_surface(surface: Mesh, candidates: list[Matrix], camera: PinholeCamera,
     """
     step = max(camera.width // VIEW_WIDTH, 1)
     small = camera.subsampled(step)
-    depth = wp.empty((len(candidates), small.height, small.width), dtype=float, device=device)
-    hierarchy = wp.Mesh(
-        points=wp.array(surface.vertices, dtype=wp.vec3, device=device),
-        indices=wp.array(surface.triangles.ravel(), dtype=int, device=device),
-    )
-    launch_in_slabs(
-        _cast_rays,
-        dim=depth.size,
-        inputs=[
-            hierarchy.id,
-            wp.array(np.stack(candidates).astype(np.float32), dtype=wp.mat44, device=device),
-            wp.vec4(small.fx, small.fy, small.cx, small.cy),
-        ],
-        outputs=[depth],
-        device=device,
-    )
-    return SurfaceViews(depth=depth, step=step)
+    hits = cast_rays_at_mesh(surface, small, candidates, device=device, depth_only=True)
+    return SurfaceViews(depth=hits.depth, step=step)
 
 
 def find_nearest_pose(views: SurfaceViews, depth: NDArray[np.float32]) -> NearestPose:
