@@ -6,11 +6,7 @@ documentation, each with the image reader of its own interface.
 
 from pathlib import Path
 
-import numpy as np
-
 from benchmarks.contenders import integrate_into_grid, new_scalable_volume, new_voxel_block_grid
-from datagen.dataset import DEPTH_PART
-from datagen.dataset_format import frame_file
 from datagen.frame_selection import select_frames
 from datagen.rigid import inverse
 from fusion.devices import load_kernels, resolve_device
@@ -86,11 +82,8 @@ def scalable_volume(dataset, options):
 
 def frame_files(dataset, options):
     for frame_id in select_frames(dataset.frame_ids, options.frames):
-        depth, color, pose = (
-            frame_file(dataset.frames_folder, frame_id, part)
-            for part in (DEPTH_PART, f"color.{dataset.color_suffix}", "pose.txt")
-        )
-        yield str(depth), str(color), np.loadtxt(pose)
+        pose = dataset.world_from_camera(frame_id)
+        yield str(dataset.depth_file(frame_id)), str(dataset.color_file(frame_id)), pose
 
 
 CONTENDERS = {

@@ -1,19 +1,27 @@
 """An open dataset: posed RGB-D frames, whatever folder format they came in."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from datagen.camera import PinholeCamera
-from datagen.dataset_format import Metadata, frame_file
+from datagen.dataset_format import Metadata
 from datagen.errors import InputError
 from datagen.images import read_color, read_depth, read_depth_steps
+from datagen.layers import LAYERS, layer_file
 from datagen.rigid import Matrix, rigid
 
-DEPTH_PART = "depth.png"
-POSE_PART = "pose.txt"
+Part = Literal["color", "depth", "pose"]
+COLOR_PART: Part = "color"
+DEPTH_PART: Part = "depth"
+POSE_PART: Part = "pose"
+PARTS: tuple[Part, ...] = (COLOR_PART, DEPTH_PART, POSE_PART)
+"""What makes a frame whole."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,31 +38,59 @@ class Frame:
     world_from_camera: Matrix
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FrameRecord:
+    """Where the parts of one frame are.
+
+    ``pose`` is a file with a 4×4 world_from_camera, or the matrix itself where the format keeps all poses in one table,
+    or None where the frame has none. ``timestamp_s`` is seconds, None where the format knows no time.
+    """
+
+    color: Path
+    depth: Path
+    pose: Path | Matrix | None
+    timestamp_s: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Dataset:
     """Posed RGB-D frames in a folder; images are read when asked for, and every read is checked.
 
-    ``frame_ids`` are the frames that the dataset says it has, whether or not all of their files are there yet.
-    ``depth_scale`` is metres per step of the depth images. ``metadata`` is None where the format has none.
+    ``frames`` are those that the dataset says it has, in order, whether or not all of their files are there yet.
+    ``depth_scale`` is metres per step of the depth images. ``layers`` names the further images that each frame has.
+    ``metadata`` is None where the format has none. ``notes`` say what a user of the data should know about them.
     """
 
     folder: Path
     format_name: str
-    frames_folder: Path
-    frame_ids: tuple[int, ...]
+    frames: Mapping[int, FrameRecord]
     camera: PinholeCamera
     depth_scale: float
-    color_suffix: str = "png"
+    layers: tuple[str, ...] = ()
     ground_truth_mesh: Path | None = None
     metadata: Metadata | None = None
+    notes: tuple[str, ...] = ()
+
+    @cached_property
+    def frame_ids(self) -> tuple[int, ...]:
+        """The numbers of the frames, in order."""
+        return tuple(self.frames)
 
     @property
     def _size(self) -> tuple[int, int]:
         return self.camera.width, self.camera.height
 
+    def record(self, frame_id: int) -> FrameRecord:
+        """Return where a frame's parts are; raises InputError where the dataset has no such frame."""
+        try:
+            return self.frames[frame_id]
+        except KeyError:
+            span = f"{self.frame_ids[0]} to {self.frame_ids[-1]}" if self.frame_ids else "none"
+            raise InputError(f"{self.folder}: has no frame {frame_id}; its frames are {span}") from None
+
     def color(self, frame_id: int) -> NDArray[np.uint8]:
         """Return the colour image (height, width, 3), RGB, of a frame."""
-        return read_color(frame_file(self.frames_folder, frame_id, f"color.{self.color_suffix}"), size=self._size)
+        return read_color(self.color_file(frame_id), size=self._size)
 
     def depth(self, frame_id: int) -> NDArray[np.float32]:
         """Return planar depth (height, width) in metres, 0 = invalid, of a frame."""
@@ -64,13 +100,40 @@ class Dataset:
         """Return planar depth (height, width) in steps of ``depth_scale`` metres, 0 = invalid, of a frame."""
         return read_depth_steps(self.depth_file(frame_id), size=self._size)
 
+    def color_file(self, frame_id: int) -> Path:
+        """Return the file of a frame's colour image."""
+        return self.record(frame_id).color
+
     def depth_file(self, frame_id: int) -> Path:
         """Return the file of a frame's depth image."""
-        return frame_file(self.frames_folder, frame_id, DEPTH_PART)
+        return self.record(frame_id).depth
 
     def world_from_camera(self, frame_id: int) -> Matrix:
         """Return the pose of a frame, made exactly rigid where it is so within rounding."""
-        return read_pose(frame_file(self.frames_folder, frame_id, POSE_PART))
+        pose = self.record(frame_id).pose
+        if pose is None:
+            raise InputError(self._lack(frame_id, POSE_PART))
+        return read_pose(pose) if isinstance(pose, Path) else pose.copy()
+
+    def timestamp_s(self, frame_id: int) -> float | None:
+        """Return when a frame was taken, in seconds, or None where the format does not say."""
+        return self.record(frame_id).timestamp_s
+
+    def layer_file(self, name: str, frame_id: int) -> Path:
+        """Return the file of a frame's image in the layer ``name``; raises InputError where the dataset has none."""
+        if name not in self.layers or name not in LAYERS:
+            there = ", ".join(self.layers) or "none"
+            raise InputError(f"{self.folder}: has no layer {name!r}; its layers are: {there}")
+        return layer_file(self.folder, name, frame_id)
+
+    def read_layer(self, name: str, frame_id: int) -> NDArray:
+        """Return a frame's image in the layer ``name``: its array as ``datagen.layers`` says, depth in metres."""
+        path, layer = self.layer_file(name, frame_id), LAYERS[name]
+        if layer.decode is not None:
+            return layer.decode(path)
+        if layer.part == "depth.png":
+            return read_depth(path, size=self._size, metres_per_step=self.depth_scale)
+        return read_color(path, size=self._size)
 
     def frame(self, frame_id: int) -> Frame:
         """Read a whole frame."""
@@ -81,29 +144,33 @@ class Dataset:
             world_from_camera=self.world_from_camera(frame_id),
         )
 
-    @property
-    def parts(self) -> tuple[str, ...]:
-        """The files that make a frame, by their names' ends."""
-        return (f"color.{self.color_suffix}", DEPTH_PART, POSE_PART)
-
     def is_complete(self, frame_id: int) -> bool:
-        """Tell whether all files of a frame are there."""
-        return all(self.has(frame_id, part) for part in self.parts)
+        """Tell whether colour, depth and pose of a frame are there."""
+        return all(self.has(frame_id, part) for part in PARTS)
 
-    def has(self, frame_id: int, part: str) -> bool:
-        """Tell whether one file of a frame is there."""
-        return frame_file(self.frames_folder, frame_id, part).is_file()
+    def has(self, frame_id: int, part: Part) -> bool:
+        """Tell whether one part of a frame is there."""
+        place = self._place(frame_id, part)
+        return place.is_file() if isinstance(place, Path) else place is not None
 
-    def require(self, frame_ids: tuple[int, ...], parts: tuple[str, ...] | None = None) -> None:
-        """Raise InputError, naming the first file that is missing, unless ``parts`` (all) of each frame are there."""
-        parts = parts or self.parts
+    def require(self, frame_ids: tuple[int, ...], parts: tuple[Part, ...] = PARTS) -> None:
+        """Raise InputError, naming the first file that is missing, unless ``parts`` of each frame are there."""
         missing = [(i, part) for i in frame_ids for part in parts if not self.has(i, part)]
         if missing:
-            first = frame_file(self.frames_folder, *missing[0])
             raise InputError(
-                f"{first}: the file is missing, and {len(dict(missing))} of the {len(frame_ids)} chosen frames lack "
+                f"{self._lack(*missing[0])}, and {len(dict(missing))} of the {len(frame_ids)} chosen frames lack "
                 "one; finish the recording or rendering, or choose complete frames with --frames"
             )
+
+    def _place(self, frame_id: int, part: Part) -> Path | Matrix | None:
+        record = self.record(frame_id)
+        return {COLOR_PART: record.color, DEPTH_PART: record.depth, POSE_PART: record.pose}[part]
+
+    def _lack(self, frame_id: int, part: Part) -> str:
+        place = self._place(frame_id, part)
+        if isinstance(place, Path):
+            return f"{place}: the file is missing"
+        return f"{self.folder}: frame {frame_id} has no {part}"
 
 
 def read_pose(path: Path) -> Matrix:

@@ -28,6 +28,12 @@ def read_color(path: Path, *, size: tuple[int, int]) -> NDArray[np.uint8]:
     return image.astype(np.uint8, copy=False)
 
 
+def image_size(path: Path) -> tuple[int, int]:
+    """Return (width, height) of an image; raises InputError where the file is missing or damaged."""
+    height, width = _decode(path, cv2.IMREAD_UNCHANGED).shape[:2]
+    return width, height
+
+
 def read_depth_steps(path: Path, *, size: tuple[int, int]) -> NDArray[np.uint16]:
     """Return planar depth (height, width) in the steps of the image, uint16, 0 where invalid.
 

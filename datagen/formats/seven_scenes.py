@@ -7,21 +7,22 @@ them, so colour is taken as if it were registered and is some pixels off near ed
 
 from pathlib import Path
 
-import numpy as np
-
 from datagen.camera import PinholeCamera
-from datagen.dataset import Dataset
+from datagen.dataset import Dataset, FrameRecord
 from datagen.dataset_format import frame_file
+from datagen.dataset_writer import write_pose
 from datagen.errors import InputError
+from datagen.formats.format import Conversion, DatasetFormat
+from datagen.formats.intrinsics_file import INTRINSICS_FILE, read_intrinsics, write_intrinsics
+from datagen.images import image_size
 
 METRES_PER_STEP = 0.001
-INTRINSICS_FILE = "camera-intrinsics.txt"
 SIZE = (640, 480)
 FOCAL_LENGTH_PX = 585.0
 PRINCIPAL_POINT_PX = (320.0, 240.0)
 
 
-def is_seven_scenes(folder: Path) -> bool:
+def detect(folder: Path) -> bool:
     """Tell whether a folder holds files named as 7-Scenes names them."""
     return any(True for _ in folder.glob("frame-[0-9]*.*"))
 
@@ -33,30 +34,55 @@ def open_seven_scenes(folder: Path) -> Dataset:
     A frame is whatever number any file carries, so that a frame that lacks its pose is reported and not passed over.
     """
     numbers = {path.name.split(".")[0].removeprefix("frame-") for path in folder.glob("frame-*.*")}
-    frame_ids = tuple(sorted(int(number) for number in numbers if number.isdecimal()))
-    if not any(frame_file(folder, frame_id, "depth.png").is_file() for frame_id in frame_ids):
+    frame_ids = sorted(int(number) for number in numbers if number.isdecimal())
+    depth_images = (path for i in frame_ids if (path := frame_file(folder, i, "depth.png")).is_file())
+    first_depth = next(depth_images, None)
+    if first_depth is None:
         raise InputError(f"{folder}: no frame has a depth image (frame-NNNNNN.depth.png)")
-    has_jpeg = frame_file(folder, frame_ids[0], "color.jpg").is_file()
+    suffix = "jpg" if frame_file(folder, frame_ids[0], "color.jpg").is_file() else "png"
     return Dataset(
         folder=folder,
-        format_name="7-Scenes",
-        frames_folder=folder,
-        frame_ids=frame_ids,
-        camera=_read_camera(folder / INTRINSICS_FILE),
+        format_name=FORMAT.title,
+        frames={
+            i: FrameRecord(
+                color=frame_file(folder, i, f"color.{suffix}"),
+                depth=frame_file(folder, i, "depth.png"),
+                pose=frame_file(folder, i, "pose.txt"),
+            )
+            for i in frame_ids
+        },
+        camera=_camera(folder / INTRINSICS_FILE, size=image_size(first_depth)),
         depth_scale=METRES_PER_STEP,
-        color_suffix="jpg" if has_jpeg else "png",
     )
 
 
-def _read_camera(path: Path) -> PinholeCamera:
-    width, height = SIZE
-    if not path.is_file():
-        cx, cy = PRINCIPAL_POINT_PX
-        return PinholeCamera(width=width, height=height, fx=FOCAL_LENGTH_PX, fy=FOCAL_LENGTH_PX, cx=cx, cy=cy)
-    try:
-        matrix = np.loadtxt(path, dtype=np.float64)
-    except ValueError as error:
-        raise InputError(f"{path}: {error}; expected a 3×3 intrinsic matrix") from None
-    if matrix.shape != (3, 3) or matrix[0, 1] != 0 or (matrix[2] != (0, 0, 1)).any():
-        raise InputError(f"{path}: expected a 3×3 intrinsic matrix [fx 0 cx; 0 fy cy; 0 0 1], found {matrix.tolist()}")
-    return PinholeCamera(width=width, height=height, fx=matrix[0, 0], fy=matrix[1, 1], cx=matrix[0, 2], cy=matrix[1, 2])
+def _camera(path: Path, *, size: tuple[int, int]) -> PinholeCamera:
+    if path.is_file():
+        return read_intrinsics(path, size=size)
+    if size != SIZE:
+        raise InputError(
+            f"{path}: the file is missing, and images of {size[0]}×{size[1]} are not from the camera of 7-Scenes "
+            f"({SIZE[0]}×{SIZE[1]}); write the 3×3 intrinsic matrix there"
+        )
+    cx, cy = PRINCIPAL_POINT_PX
+    return PinholeCamera(width=size[0], height=size[1], fx=FOCAL_LENGTH_PX, fy=FOCAL_LENGTH_PX, cx=cx, cy=cy)
+
+
+def write_index(conversion: Conversion) -> None:
+    """Write the camera and the poses."""
+    write_intrinsics(conversion.folder / INTRINSICS_FILE, conversion.source.camera)
+    for frame in conversion.frames:
+        write_pose(frame_file(conversion.folder, frame.number, "pose.txt"), frame.world_from_camera)
+
+
+FORMAT = DatasetFormat(
+    name="7scenes",
+    title="7-Scenes",
+    detect=detect,
+    open=open_seven_scenes,
+    image_names=lambda number, _: (f"frame-{number:06d}.color", f"frame-{number:06d}.depth.png"),
+    write_index=write_index,
+    depth_scale=METRES_PER_STEP,
+    color_suffixes=(".png",),
+    carries=frozenset({"frame numbers"}),
+)

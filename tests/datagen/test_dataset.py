@@ -8,7 +8,8 @@ from datagen.dataset_format import Intrinsics, Metadata, write_metadata
 from datagen.dataset_summary import describe, summarise
 from datagen.dataset_writer import write_frame, write_pose
 from datagen.errors import InputError
-from datagen.images import write_color
+from datagen.images import write_color, write_depth
+from datagen.layers import LAYERS, layer_file
 from datagen.open_dataset import open_dataset
 from datagen.rigid import look_at
 
@@ -92,6 +93,33 @@ def test_an_image_of_another_size_is_refused(folder):
         open_dataset(folder).frame(1)
 
 
+def test_the_time_of_a_frame_comes_from_the_frame_rate(folder):
+    assert open_dataset(folder).timestamp_s(2) == pytest.approx(2 / 30)
+
+
+def test_a_frame_that_the_dataset_does_not_have_is_refused_with_those_that_it_has(folder):
+    with pytest.raises(InputError, match=r"no frame 7; its frames are 0 to 2"):
+        open_dataset(folder).color(7)
+
+
+def test_layers_that_were_written_are_read_and_others_are_refused(folder):
+    path = folder / "dataset.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"layers": ["normals", "sensor_depth", "right_color"]}))
+    normals = np.zeros((6, 8, 3), np.float32)
+    normals[1:, :, 2] = -1
+    write_layer = LAYERS["normals"].encode
+    write_layer(layer_file(folder, "normals", 1), normals)
+    write_depth(layer_file(folder, "sensor_depth", 1), np.full((6, 8), 1.25), metres_per_step=0.0001)
+    write_color(layer_file(folder, "right_color", 1), np.full((6, 8, 3), 7, np.uint8))
+    dataset = open_dataset(folder)
+    assert dataset.layers == ("normals", "sensor_depth", "right_color")
+    np.testing.assert_allclose(dataset.read_layer("normals", 1), normals, atol=1e-4)
+    np.testing.assert_allclose(dataset.read_layer("sensor_depth", 1), 1.25, atol=1e-6)
+    np.testing.assert_array_equal(dataset.read_layer("right_color", 1), 7)
+    with pytest.raises(InputError, match=r"no layer 'masks'; its layers are: normals, sensor_depth, right_color"):
+        dataset.read_layer("masks", 1)
+
+
 def test_an_empty_folder_and_no_folder_are_no_datasets(tmp_path):
     with pytest.raises(InputError, match="not a dataset"):
         open_dataset(tmp_path)
@@ -125,10 +153,14 @@ def test_metadata_that_was_cut_short_is_refused(folder):
 def test_a_7_scenes_folder_opens_and_keeps_frames_that_lack_a_pose(folder):
     frames = folder / "frames"
     (frames / "frame-000002.pose.txt").unlink()
+    with pytest.raises(InputError, match=r"camera-intrinsics.txt: the file is missing.*8×6"):
+        open_dataset(frames)
+    (frames / "camera-intrinsics.txt").write_text("10 0 3.5\n0 10 2.5\n0 0 1\n")
     dataset = open_dataset(frames)
     assert dataset.format_name == "7-Scenes"
     assert dataset.frame_ids == (0, 1, 2)
-    assert (dataset.camera.fx, dataset.camera.width, dataset.depth_scale) == (585.0, 640, 0.001)
+    assert not dataset.is_complete(2)
+    assert (dataset.camera.fx, dataset.camera.cx, dataset.camera.width, dataset.depth_scale) == (10.0, 3.5, 8, 0.001)
 
 
 def test_the_summary_counts_and_measures(folder):
