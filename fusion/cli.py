@@ -14,7 +14,7 @@ from datagen.errors import InputError
 from datagen.frame_selection import select_frames
 from datagen.open_dataset import open_dataset
 from datagen.progress import on_terminal
-from fusion.commands import mesh
+from fusion.commands import mesh, report
 from fusion.devices import resolve_device
 from fusion.evaluation.evaluate import Observers, evaluate
 from fusion.integration.options import DepthSampling, Integration, Weighting
@@ -77,6 +77,7 @@ def _parser() -> argparse.ArgumentParser:
 
     add_volume_commands(commands)
     mesh.add_command(commands)
+    report.add_command(commands)
     return parser
 
 

@@ -42,7 +42,7 @@ _FACES_OF_EDGE = [
 ]
 
 
-def _loops(inside: list[bool]) -> list[Loop]:
+def surface_loops(inside: list[bool]) -> list[Loop]:
     """Return the surface's boundary on the cell as closed loops of edges, outside on their left seen from outside."""
     follows: dict[int, int] = {}
     for cycle in _FACES:
@@ -96,7 +96,7 @@ def triangle_table() -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """
     cases = []
     for case in range(256):
-        loops = _loops([bool(case >> corner & 1) for corner in range(8)])
+        loops = surface_loops([bool(case >> corner & 1) for corner in range(8)])
         cases.append([edge for loop in loops for triangle in _triangulate(loop) for edge in triangle])
     counts = np.array([len(edges) // 3 for edges in cases], dtype=np.int32)
     table = np.full((256, 3 * counts.max()), -1, dtype=np.int32)

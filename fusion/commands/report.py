@@ -1,0 +1,30 @@
+"""``fusion report``: the paper's figures and table on one page."""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from datagen.open_dataset import open_dataset
+from datagen.progress import on_terminal
+from fusion.reconstruction_config import ReconstructionConfig
+from fusion.report.report import write_report
+
+
+def add_command(commands: Any) -> None:
+    """Add the command to the parser's ``commands``."""
+    command = commands.add_parser("report", help="the paper's figures and table from your data, on one HTML page")
+    command.add_argument("dataset", type=Path, nargs="+", help="datasets of ours, or 7-Scenes sequences")
+    command.add_argument("out", type=Path, help="the folder to write; a second run goes on there")
+    command.add_argument("--voxel-size", type=float, metavar="M", help="metres; from the data if not given")
+    command.add_argument("--depth-max", type=float, metavar="M", help="take farther depths as invalid")
+    command.add_argument("--view-frame", type=int, metavar="N", help="take pictures from this frame's pose")
+    command.add_argument("--device", default="auto", metavar="auto|cpu|cuda[:N]")
+    command.set_defaults(run=_run)
+
+
+def _run(options: argparse.Namespace) -> None:
+    config = ReconstructionConfig(voxel_size=options.voxel_size, depth_max=options.depth_max, device=options.device)
+    datasets = [open_dataset(folder) for folder in options.dataset]
+    with on_terminal() as progress:
+        page = write_report(datasets, options.out, config, view_frame=options.view_frame, progress=progress)
+    print(page)
