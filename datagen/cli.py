@@ -4,10 +4,10 @@ import argparse
 import sys
 from collections.abc import Sequence
 
-from datagen.commands import info, render
+from datagen.commands import info, render, sensor
 from datagen.errors import InputError, WorkerError
 
-COMMANDS = (render, info)
+COMMANDS = (render, info, sensor)
 
 EXIT_FAILURE = 1
 EXIT_INPUT_ERROR = 2

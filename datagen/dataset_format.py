@@ -9,6 +9,7 @@ from datagen.atomic_write import write_json
 from datagen.camera import PinholeCamera
 from datagen.errors import InputError
 from datagen.pydantic_errors import describe_validation_error
+from datagen.scene_spec.sensor_settings import SensorSettings
 
 METADATA_FILE = "dataset.json"
 FRAMES_FOLDER = "frames"
@@ -40,6 +41,25 @@ class Intrinsics(_Record):
         return PinholeCamera(**self.model_dump())
 
 
+class Distortion(_Record):
+    """The lens of the layers ``distorted_color`` and ``distorted_depth``: OpenCV's coefficients, in its rational model.
+
+    ``intrinsics`` is the camera in whose pixels the distorted images are; ``shown`` is the share of these pixels that
+    the rendered image reaches, the others being black and without depth.
+    """
+
+    k1: float
+    k2: float
+    p1: float
+    p2: float
+    k3: float
+    k4: float
+    k5: float
+    k6: float
+    intrinsics: Intrinsics
+    shown: float = Field(ge=0, le=1)
+
+
 class Conventions(_Record):
     """What the numbers of a dataset mean; written for readers who have only the files."""
 
@@ -54,8 +74,9 @@ class Metadata(_Record):
     """The contents of ``dataset.json``.
 
     ``depth_scale`` is metres per step of the 16-bit depth images; ``frames_per_second`` is the time base: frame i is
-    at i / frames_per_second seconds. ``recipe`` holds all that decides what the frames show (scene, size, samples,
-    seed) and ``provenance`` what was used to make them (versions, device).
+    at i / frames_per_second seconds. ``sensor`` is what the layer ``sensor_depth`` simulates, ``distortion`` the lens
+    of the distorted layers. ``recipe`` holds all that decides what the frames show (scene, size, samples, seed) and
+    ``provenance`` what was used to make them (versions, device).
     """
 
     format: Literal["scanback-dataset"] = "scanback-dataset"
@@ -67,6 +88,8 @@ class Metadata(_Record):
     conventions: Conventions = Conventions()
     layers: tuple[str, ...] = Field(default=(), strict=False)
     ground_truth_mesh: str | None = None
+    sensor: SensorSettings | None = None
+    distortion: Distortion | None = None
     recipe: dict[str, Any]
     provenance: dict[str, Any]
 
