@@ -25,6 +25,7 @@ from datagen.open_dataset import open_dataset
 from datagen.progress import ProgressReporter, silent
 from datagen.rendering.render_workers import Job, Report, Task, render_workers
 from datagen.scene_spec.scene import Scene
+from datagen.sensors.extra_layers import distortion_of, sensor_of
 
 DEVICES = ("auto", "cpu", "optix", "cuda", "hip", "metal", "oneapi")
 IRRELEVANT_TO_FRAMES = {"description"}
@@ -125,12 +126,15 @@ def _settle_metadata(folder: Path, scene: Scene, report: Report) -> None:
         "platform": platform.platform(),
         "python": platform.python_version(),
     }
+    intrinsics = Intrinsics(**report.content["intrinsics"])
     metadata = Metadata(
         frame_count=scene.render.frames,
-        intrinsics=Intrinsics(**report.content["intrinsics"]),
+        intrinsics=intrinsics,
         depth_scale=scene.render.depth_scale,
         frames_per_second=scene.render.frames_per_second,
         ground_truth_mesh=GROUND_TRUTH_FILE,
+        sensor=sensor_of(scene),
+        distortion=distortion_of(intrinsics.camera, scene.lens) if scene.lens is not None else None,
         recipe=recipe_of(scene),
         provenance=provenance,
     )

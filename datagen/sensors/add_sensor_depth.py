@@ -3,9 +3,8 @@
 from datagen.atomic_write import remove_unfinished
 from datagen.dataset import DEPTH_PART, Dataset
 from datagen.dataset_format import Metadata, read_metadata, write_metadata
-from datagen.dataset_writer import write_layer
 from datagen.errors import InputError
-from datagen.layers import LAYERS, layer_file
+from datagen.layers import LAYERS, layer_file, write_layer
 from datagen.open_dataset import open_dataset
 from datagen.progress import ProgressReporter, silent
 from datagen.scene_spec.sensor_settings import SensorSettings

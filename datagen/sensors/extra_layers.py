@@ -15,14 +15,6 @@ from datagen.sensors.simulate_depth import sensor_generator, simulate_depth
 from datagen.sensors.surfaces import Image
 
 SENSOR_DEPTH = "sensor_depth"
-DISTORTED_COLOR = "distorted_color"
-DISTORTED_DEPTH = "distorted_depth"
-
-
-def extra_layer_names(scene: Scene) -> tuple[str, ...]:
-    """Return the names of the layers that ``extra_layers`` makes for a scene."""
-    sensor = (SENSOR_DEPTH,) if scene.sensor is not None else ()
-    return sensor + ((DISTORTED_COLOR, DISTORTED_DEPTH) if scene.lens is not None else ())
 
 
 def extra_layers(
@@ -38,8 +30,8 @@ def extra_layers(
         layers[SENSOR_DEPTH] = sensor_depth(depth, camera, sensor, frame=frame, depth_scale=scene.render.depth_scale)
     if scene.lens is not None:
         lens = lens_map(camera, scene.lens)
-        layers[DISTORTED_COLOR] = distort_color(color, lens)
-        layers[DISTORTED_DEPTH] = distort_depth(depth, lens)
+        layers["distorted_color"] = distort_color(color, lens)
+        layers["distorted_depth"] = distort_depth(depth, lens)
     return layers
 
 
