@@ -28,7 +28,7 @@ class Run:
     record: ReconstructionRecord
 
 
-def run(dataset: Dataset, folder: Path, config: ReconstructionConfig, *, progress: ProgressReporter = silent) -> Run:
+def run(dataset: Dataset, folder: Path, config: ReconstructionConfig) -> Run:
     """Reconstruct into ``folder``, or read what lies there from the same dataset, configuration and versions."""
     if not _is_current(dataset, folder, config):
         reconstruct(dataset, folder, config)
