@@ -1,0 +1,90 @@
+"""Recorded camera paths: TUM files, Open3D's ``.log`` files, and folders of 4×4 pose files."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.dataset import read_pose
+from datagen.dataset_format import FRAMES_FOLDER
+from datagen.errors import InputError
+from datagen.formats.frame_numbers import frame_numbers, natural_order
+from datagen.formats.quaternions import pose_from_quat_wxyz
+from datagen.formats.text_table import Row, read_rows
+from datagen.rigid import rigid
+
+TUM_LINE = "t tx ty tz qx qy qz qw"
+POSE_FILE_PATTERNS = ("*.pose.txt", f"{FRAMES_FOLDER}/*.pose.txt", "*.txt")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recording:
+    """``world_from_camera`` (M, 4, 4), OpenCV axes, at increasing ``times`` (M,); in seconds where ``is_timed``.
+
+    Where the file has no times they are the frames' numbers.
+    """
+
+    times: NDArray[np.float64]
+    world_from_camera: NDArray[np.float64]
+    is_timed: bool
+
+
+def read_recording(path: Path) -> Recording:
+    """Read a recorded path: a folder is one of pose files, a ``.log`` Open3D's, anything else TUM's.
+
+    Raises InputError naming the file and line of what cannot be used.
+    """
+    if path.is_dir():
+        return _read_pose_folder(path)
+    return _read_open3d_log(path) if path.suffix == ".log" else _read_tum(path)
+
+
+def _read_tum(path: Path) -> Recording:
+    times: list[float] = []
+    matrices = []
+    for row in read_rows(path):
+        row.require(8, TUM_LINE)
+        time, x, y, z, qx, qy, qz, qw = row.numbers(row.fields[:8], TUM_LINE)
+        if times and time <= times[-1]:
+            raise row.error(f"time {time:.6f} does not come after the line before, {times[-1]:.6f}; sort the lines")
+        times.append(time)
+        source = f"{path}, line {row.line}"
+        matrices.append(pose_from_quat_wxyz((qw, qx, qy, qz), (x, y, z), source=source))
+    return _recording(path, np.array(times), matrices, is_timed=True)
+
+
+def _read_open3d_log(path: Path) -> Recording:
+    rows = read_rows(path)
+    matrices = []
+    for start in range(0, len(rows), 5):
+        block = rows[start : start + 5]
+        if len(block) < 5:
+            raise block[0].error(f"the last pose has {len(block)} lines, expected 5: three numbers, then a 4×4 matrix")
+        matrix = np.array([_matrix_row(row) for row in block[1:]])
+        matrices.append(rigid(matrix, source=f"{path}, line {block[1].line}"))
+    return _recording(path, np.arange(len(matrices), dtype=np.float64), matrices, is_timed=False)
+
+
+def _matrix_row(row: Row) -> NDArray[np.float64]:
+    if len(row.fields) != 4:
+        raise row.error(f"found {len(row.fields)} numbers, expected 4, a row of a pose's 4×4 matrix")
+    return row.numbers(row.fields, "a row of a pose's 4×4 matrix")
+
+
+def _read_pose_folder(folder: Path) -> Recording:
+    found: list[Path] = []
+    for pattern in POSE_FILE_PATTERNS:
+        found = found or sorted(folder.glob(pattern), key=lambda path: natural_order(path.name))
+    times = np.array(frame_numbers([path.name for path in found]), dtype=np.float64)
+    return _recording(folder, times, [read_pose(path) for path in found], is_timed=False)
+
+
+def _recording(
+    path: Path, times: NDArray[np.float64], matrices: list[NDArray[np.float64]], *, is_timed: bool
+) -> Recording:
+    if not matrices:
+        raise InputError(
+            f"{path}: holds no poses; expected lines of TUM ({TUM_LINE}), an Open3D .log, or a folder of 4×4 pose files"
+        )
+    return Recording(times=times, world_from_camera=np.stack(matrices), is_timed=is_timed)
