@@ -23,8 +23,8 @@ def look_at_each(positions_world: Array, targets_world: ArrayLike) -> Array:
     if len(undecided):
         i = undecided[0]
         raise InputError(
-            f"trajectory: in frame {i} the camera, at {np.round(positions_world[i], 6).tolist()}, is at, straight above "
-            "or below what it looks at, so that no side of the image is up; move the path or look_at a little aside"
+            f"trajectory: in frame {i} the camera, at {np.round(positions_world[i], 6).tolist()}, is at, straight "
+            "above or below what it looks at, so that no side of the image is up; move the path or look_at a little aside"
         )
     forward /= distance[:, None]
     right /= np.linalg.norm(right, axis=1)[:, None]
