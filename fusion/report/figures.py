@@ -1,7 +1,9 @@
 """The figures of a report: which reconstructions each one shows, and the numbers beneath its pictures."""
 
+import hashlib
+import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -71,9 +73,11 @@ class Subject:
     view_frame: int
     device: Device
 
-    def reconstruct(self, key: str, **changes: object) -> Run:
-        """Reconstruct with some of the configuration changed."""
-        return run(self.dataset, self.folder / key, replace(self.base, **changes))  # type: ignore[arg-type]
+    def reconstruct(self, **changes: object) -> Run:
+        """Reconstruct with some of the configuration changed; what two figures share is made once."""
+        config = replace(self.base, **changes)  # type: ignore[arg-type]
+        digest = hashlib.sha256(json.dumps(asdict(config), sort_keys=True).encode()).hexdigest()
+        return run(self.dataset, self.folder / digest[:12], config)
 
     def picture(
         self, mesh: Mesh, colors: NDArray[np.floating] | None = None, *, shaded: bool = True
@@ -111,7 +115,7 @@ def growth(subject: Subject) -> Figure:
     counts = counts if len(counts) == len(FRAME_COUNTS) else [*counts, available]
     panels = []
     for count in counts:
-        result = subject.reconstruct(f"frames-{count:03d}", frames=f"0:{count}")
+        result = subject.reconstruct(frames=f"0:{count}")
         panels.append(_mesh_panel(subject, result, f"frames-{count:03d}", f"{count} frames"))
     return Figure(
         heading="Fig. 7: the mesh as frames come in",
@@ -123,7 +127,7 @@ def growth(subject: Subject) -> Figure:
 
 def coloured(subject: Subject) -> Figure:
     """Figures 8 and 12: the coloured mesh beside what the camera saw."""
-    result = subject.reconstruct("all")
+    result = subject.reconstruct()
     image = subject.dataset.color(subject.view_frame)
     panels = [
         Panel(name="photograph", title=f"frame {subject.view_frame} of the data", image=image),
@@ -149,7 +153,7 @@ def voxel_sizes(subject: Subject) -> Figure:
     panels: list[Panel] = []
     for factor in VOXEL_FACTORS:
         size = subject.base.voxel_size * factor
-        result = subject.reconstruct(f"voxel-{factor}", voxel_size=size, truncation=4 * size)
+        result = subject.reconstruct(voxel_size=size, truncation=4 * size)
         title = f"{1000 * size:.3g} mm voxels"
         panels.append(_mesh_panel(subject, result, f"voxel-{factor}", title, extra=_cost(result)))
     return Figure(
@@ -165,7 +169,7 @@ def truncations(subject: Subject) -> Figure:
     panels: list[Panel] = []
     for voxels in TRUNCATION_VOXELS:
         distance = subject.base.voxel_size * voxels
-        result = subject.reconstruct(f"truncation-{voxels}", truncation=distance)
+        result = subject.reconstruct(truncation=distance)
         title = f"truncated at {1000 * distance:.3g} mm, {voxels} voxels"
         panels.append(_mesh_panel(subject, result, f"truncation-{voxels}", title, extra=_cost(result)))
     return Figure(
@@ -180,7 +184,7 @@ def meshers(subject: Subject, variants: Sequence[tuple[str, str, dict[str, objec
     """Figure 11: the same volume meshed in different ways; ``variants`` are keys, titles and changes of the config."""
     panels: list[Panel] = []
     for key, title, changes in variants:
-        result = subject.reconstruct(f"mesher-{key}", **changes)
+        result = subject.reconstruct(**changes)
         edges = _sharp_edges(subject, result)
         numbers = (("meshing", f"{1000 * result.record.seconds.mesh:.0f} ms"), *edges)
         panels.append(_mesh_panel(subject, result, f"mesher-{key}", title, extra=numbers))

@@ -1,6 +1,7 @@
 """The report of some datasets: reconstructions, figures, table, page."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import warp as wp
@@ -80,17 +81,18 @@ def _subject(
     frame = dataset.frame_ids[0] if view_frame is None else view_frame
     if frame not in dataset.frame_ids:
         raise InputError(f"--view-frame {frame}: {dataset.folder} has no such frame")
+    device = resolve_device(config.device)
     camera, pose = figures.view_of(dataset, frame)
     return Subject(
         name=name,
         dataset=dataset,
         ground_truth=None if dataset.ground_truth_mesh is None else read_mesh(dataset.ground_truth_mesh),
         folder=folder,
-        base=figures.suitable_config(dataset, config),
+        base=figures.suitable_config(dataset, replace(config, device=device.alias)),
         camera=camera,
         world_from_camera=pose,
         view_frame=frame,
-        device=resolve_device(config.device),
+        device=device,
     )
 
 
@@ -115,7 +117,7 @@ def _figures(subject: Subject, progress: ProgressReporter) -> tuple[Figure, ...]
 def _speeds(subject: Subject) -> list[Speed]:
     """Fuse on every device there is: the table's row for each."""
     devices = ["cpu", *(device.alias for device in wp.get_cuda_devices()[:1])]
-    records = [subject.reconstruct(f"speed-{device.replace(':', '-')}", device=device).record for device in devices]
+    records = [subject.reconstruct(device=device).record for device in devices]
     return [
         Speed(
             scene=subject.name,
