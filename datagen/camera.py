@@ -51,6 +51,11 @@ class PinholeCamera:
         """
         return cls(width=width, height=height, fx=fx, fy=fy, cx=cx - 0.5, cy=cy - 0.5)
 
+    @property
+    def corner_origin(self) -> tuple[float, float]:
+        """The principal point (cx, cy) measured from the image's corner; the inverse of ``from_corner_origin``."""
+        return self.cx + 0.5, self.cy + 0.5
+
     def subsampled(self, step: int) -> "PinholeCamera":
         """Return the camera of ``image[::step, ::step]``."""
         return PinholeCamera(

@@ -4,10 +4,10 @@ import argparse
 import sys
 from collections.abc import Sequence
 
-from datagen.commands import info, render, sensor
+from datagen.commands import convert, info, render, sensor
 from datagen.errors import InputError, WorkerError
 
-COMMANDS = (render, info, sensor)
+COMMANDS = (render, info, sensor, convert)
 
 EXIT_FAILURE = 1
 EXIT_INPUT_ERROR = 2

@@ -37,11 +37,13 @@ def summarise(dataset: Dataset) -> dict[str, Any]:
             "vertical_fov_deg": _field_of_view_deg(camera.height, camera.fy, camera.cy),
         },
         "depth_scale": dataset.depth_scale,
+        "layers": list(dataset.layers),
         "depth": _depth_range(dataset, present),
         "trajectory": _trajectory(dataset, present),
         "ground_truth_mesh": str(mesh) if mesh is not None and mesh.is_file() else None,
         "recipe": dataset.metadata.recipe if dataset.metadata is not None else None,
         "provenance": dataset.metadata.provenance if dataset.metadata is not None else None,
+        "notes": list(dataset.notes),
     }
 
 
@@ -66,14 +68,19 @@ def describe(summary: dict[str, Any]) -> str:
     if path is not None:
         extent = " × ".join(f"{side:.2f}" for side in path["extent_m"])
         lines["trajectory"] = f"{path['length_m']:.2f} m long, within {extent} m"
-    if summary["recipe"] is not None:
+    if summary["layers"]:
+        lines["layers"] = ", ".join(summary["layers"])
+    if summary["recipe"]:
         render = summary["recipe"].get("render")
         render = render if isinstance(render, dict) else {}
         lines["scene"] = f"{summary['recipe'].get('name')}, {render.get('samples')} samples, seed {render.get('seed')}"
-    if summary["provenance"] is not None:
-        made = summary["provenance"]
-        lines["made by"] = f"Blender {made.get('blender')} on {made.get('device')} ({made.get('device_name')})"
-    return "\n".join([summary["folder"], *(f"  {name:<11}{value}" for name, value in lines.items())])
+    made = summary["provenance"] or {}
+    if "blender" in made:
+        lines["made by"] = f"Blender {made['blender']} on {made.get('device')} ({made.get('device_name')})"
+    if "converted_from" in made:
+        lines["converted"] = f"from {made['converted_from'].get('format')}"
+    rows = [*lines.items(), *(("note", note) for note in summary["notes"])]
+    return "\n".join([summary["folder"], *(f"  {name:<11}{value}" for name, value in rows)])
 
 
 def _field_of_view_deg(pixels: int, focal_length_px: float, centre_px: float) -> float:

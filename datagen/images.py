@@ -75,7 +75,12 @@ def write_depth(path: Path, depth: NDArray[np.floating], *, metres_per_step: flo
             f"{path}: a depth of {depth.max():.3f} m does not fit 16 bits at {metres_per_step:g} m per step; "
             f"set depth_scale to {needed:.2g} or more"
         )
-    _encode_png(path, steps.astype(np.uint16))
+    write_depth_steps(path, steps.astype(np.uint16))
+
+
+def write_depth_steps(path: Path, steps: NDArray[np.uint16]) -> None:
+    """Write a depth image (height, width), uint16, atomically as PNG, its steps as they are."""
+    _encode_png(path, steps)
 
 
 def _decode(path: Path, flags: int) -> cv2.typing.MatLike:

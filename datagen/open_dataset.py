@@ -5,6 +5,7 @@ from pathlib import Path
 from datagen.dataset import Dataset
 from datagen.errors import InputError
 from datagen.formats.registry import FORMATS
+from datagen.formats.unfinished import is_unfinished
 
 
 def open_dataset(folder: Path) -> Dataset:
@@ -14,6 +15,8 @@ def open_dataset(folder: Path) -> Dataset:
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder; name the folder of a dataset")
+    if is_unfinished(folder):
+        raise InputError(f"{folder}: its conversion was not finished; run the same datagen convert again, it goes on")
     for dataset_format in FORMATS:
         if dataset_format.detect(folder):
             return dataset_format.open(folder)

@@ -12,7 +12,7 @@ from datagen.open_dataset import open_dataset
 def add_command(commands: Any) -> None:
     """Add the command to the parser's ``commands``."""
     info = commands.add_parser("info", help="tell what a dataset holds")
-    info.add_argument("dataset", metavar="DATASET", type=Path, help="a dataset of ours or a 7-Scenes sequence")
+    info.add_argument("dataset", metavar="DATASET", type=Path, help="a dataset of any format that can be read")
     info.add_argument("--json", action="store_true", help="as JSON")
     info.set_defaults(run=_run)
 

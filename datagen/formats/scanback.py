@@ -96,7 +96,8 @@ def write_index(conversion: Conversion) -> None:
 
 def _advice(conversion: Conversion) -> tuple[str, ...]:
     rate, exact = frame_rate(conversion)
-    if exact:
+    times_s = [conversion.source.timestamp_s(frame.frame_id) for frame in conversion.frames]
+    if exact or all(time is None for time in times_s):
         return ()
     return (f"timestamps: frame i is at i / {rate:g} s; the original times are in dataset.json under provenance",)
 
