@@ -37,9 +37,8 @@ def trilinear_terms(v: Corners) -> Corners:
 
 
 @wp.func
-def trilinear_gradient(v: Corners, at: wp.vec3) -> wp.vec3:
-    """Return the field's gradient, per voxel, at a position in the cell."""
-    k = trilinear_terms(v)
+def gradient_of_terms(k: Corners, at: wp.vec3) -> wp.vec3:
+    """Return the gradient, per voxel, at a position in the cell, of the field with the given terms."""
     x = at[0]
     y = at[1]
     z = at[2]
@@ -48,6 +47,12 @@ def trilinear_gradient(v: Corners, at: wp.vec3) -> wp.vec3:
         k[2] + k[3] * x + k[6] * z + k[7] * x * z,
         k[4] + k[5] * x + k[6] * y + k[7] * x * y,
     )
+
+
+@wp.func
+def trilinear_gradient(v: Corners, at: wp.vec3) -> wp.vec3:
+    """Return the field's gradient, per voxel, at a position in the cell."""
+    return gradient_of_terms(trilinear_terms(v), at)
 
 
 @wp.func

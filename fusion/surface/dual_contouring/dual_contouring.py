@@ -1,0 +1,49 @@
+"""Occupancy-based dual contouring on the sparse blocks, after Hwang and Sung (SIGGRAPH Asia 2024).
+
+1-D points on edges, 2-D points on faces, 3-D points in cells, and quads that are cut so that they never meet: the steps
+are modules of their own. Vertices are in the order of their cells, then those on faces, then those on edges; triangles
+are in the order of the edges. So nothing depends on which thread is first.
+"""
+
+import numpy as np
+
+from fusion.surface.dual_contouring.cell_points import Vertices, cell_points
+from fusion.surface.dual_contouring.dual_grid import find_grid
+from fusion.surface.dual_contouring.edge_points import edge_points
+from fusion.surface.dual_contouring.face_points import face_points
+from fusion.surface.dual_contouring.oracle import Oracle
+from fusion.surface.dual_contouring.pins import place_pins
+from fusion.surface.dual_contouring.quads import cut_quads
+from fusion.surface.mesh import Mesh
+from fusion.volume.tsdf_volume import Volume
+
+
+def dual_contouring(
+    volume: Volume, *, oracle: Oracle | None = None, min_weight: float = 0.0, normals: bool = False
+) -> Mesh:
+    """Return the volume's surface as a manifold mesh in world coordinates, with colours, that never meets itself.
+
+    Which voxels are inside is the volume's to say; where the surface passes between them is what ``oracle`` answers, or
+    without one where the volume's trilinear field is zero. A voxel counts as seen where its weight is over
+    ``min_weight`` (≥ 0). There is a quad around an edge where all four cells there have eight seen corners, and nowhere
+    else: the mesh is open at the border of what was observed, half a cell before marching cubes' is. ``normals`` asks
+    for the vertices' normals.
+    """
+    assert min_weight >= 0, "an unseen voxel's weight is 0"
+    grid, counts = find_grid(volume, min_weight=min_weight)
+    along = edge_points(volume, grid, counts, oracle)
+    curve_points = None if oracle is None else face_points(volume, grid, counts, oracle, along)
+    places, cells = cell_points(volume, grid, counts, along, curve_points)
+    pins = place_pins(volume, grid, counts, along, curve_points, cells)
+    cut = cut_quads(volume, grid, counts, along, places, cells)
+    return _mesh([cells, pins, cut.fans], cut.triangles.numpy(), normals=normals)
+
+
+def _mesh(vertices: list[Vertices], triangles: np.ndarray, *, normals: bool) -> Mesh:
+    """Return the mesh on the host."""
+    return Mesh(
+        vertices=np.concatenate([some.points.numpy() for some in vertices]),
+        triangles=triangles,
+        colors=np.concatenate([some.colors.numpy() for some in vertices]),
+        normals=np.concatenate([some.normals.numpy() for some in vertices]) if normals else None,
+    )

@@ -1,0 +1,144 @@
+"""1-D points: where the surface crosses the edges between voxels."""
+
+from functools import cache
+from typing import Any
+
+import warp as wp
+
+from fusion.devices import Kernel, launch_in_slabs
+from fusion.surface.dual_contouring.dual_grid import Counts, DualGrid
+from fusion.surface.dual_contouring.oracle import Oracle, is_known, next_question
+from fusion.surface.dual_contouring.qef import INSET
+from fusion.surface.layers import NONE, lowest_bit, number_of, step_along, voxel_of
+from fusion.volume.tsdf_volume import Volume
+from fusion.volume.voxels import Voxels, distance_of
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+
+_LOWEST = wp.constant(INSET)
+_HIGHEST = wp.constant(1.0 - INSET)
+TOLERANCE = wp.constant(1.0e-3)
+"""Voxels: a crossing is known as exactly as vertices keep from borders."""
+MOST_QUESTIONS = wp.constant(14)
+
+
+@wp.func
+def crossing_along(voxels: Voxels, grid: DualGrid, slot: int, x: int, y: int, z: int, axis: int) -> float:
+    """Return where the trilinear field, which is linear there, crosses the edge from a voxel."""
+    step = step_along(axis)
+    a = distance_of(voxels, voxel_of(grid.cells, slot, x, y, z))
+    b = distance_of(voxels, voxel_of(grid.cells, slot, x + step[0], y + step[1], z + step[2]))
+    return wp.clamp(a / (a - b), _LOWEST, _HIGHEST)
+
+
+@wp.kernel
+def _cross_edges(first: int, grid: DualGrid, voxels: Voxels, along: wp.array(dtype=float)) -> None:
+    layer = wp.tid() + first
+    edge = grid.cells.starts[layer][0]
+    if edge == grid.cells.starts[layer + 1][0]:
+        return
+    for axis in range(3):
+        left = grid.cells.edges[layer, axis]
+        while left != NONE:
+            bit = lowest_bit(left)
+            along[edge] = crossing_along(voxels, grid, layer >> 3, bit & 7, bit >> 3, layer & 7, axis)
+            edge += 1
+            left = left & (left - wp.uint64(1))
+
+
+@cache
+def search_kernel(value: Any, state_type: Any) -> Kernel:
+    """Return the kernel that asks an oracle where the surface crosses the edges; a thread takes a layer."""
+
+    @wp.func
+    def search(state: state_type, number: int, start: wp.vec3, way: wp.vec3, at_start: float, at_end: float) -> float:
+        """Return the crossing between two voxels of different sign, in voxels from the first."""
+        low = float(0.0)
+        high = float(1.0)
+        at_low = at_start
+        at_high = at_end
+        for step in range(MOST_QUESTIONS):
+            s = next_question(low, high, at_low, at_high, step)
+            answer = value(state, number, start + s * way)
+            if not is_known(answer):
+                return low + (high - low) * at_low / (at_low - at_high)
+            if answer == 0.0:
+                return s
+            if (answer < 0.0) == (at_start < 0.0):
+                low = s
+                at_low = answer
+            else:
+                high = s
+                at_high = answer
+            if high - low < TOLERANCE:
+                return 0.5 * (low + high)
+            if wp.abs(answer) < 0.2 * TOLERANCE:
+                return s
+        return 0.5 * (low + high)
+
+    @wp.kernel(module="unique", enable_backward=False, module_options={"max_unroll": 1})
+    def search_edges(
+        first: int,
+        grid: DualGrid,
+        blocks: wp.array(dtype=wp.vec3i),
+        voxels: Voxels,
+        voxels_a_truncation: float,
+        state: state_type,
+        along: wp.array(dtype=float),
+    ) -> None:
+        layer = wp.tid() + first
+        cells = grid.cells
+        edge = cells.starts[layer][0]
+        if edge == cells.starts[layer + 1][0]:
+            return
+        slot = layer >> 3
+        z = layer & 7
+        number = number_of(cells, slot)
+        for axis in range(3):
+            step = step_along(axis)
+            way = wp.vec3(float(step[0]), float(step[1]), float(step[2]))
+            left = cells.edges[layer, axis]
+            while left != NONE:
+                bit = lowest_bit(left)
+                x = bit & 7
+                y = bit >> 3
+                corner = 8 * blocks[number] + wp.vec3i(x, y, z)
+                a = distance_of(voxels, voxel_of(cells, slot, x, y, z))
+                b = distance_of(voxels, voxel_of(cells, slot, x + step[0], y + step[1], z + step[2]))
+                start = wp.vec3(float(corner[0]), float(corner[1]), float(corner[2]))
+                found = search(state, number, start, way, voxels_a_truncation * a, voxels_a_truncation * b)
+                along[edge] = wp.clamp(found, _LOWEST, _HIGHEST)
+                edge += 1
+                left = left & (left - wp.uint64(1))
+
+    return search_edges
+
+
+def edge_points(volume: Volume, grid: DualGrid, counts: Counts, oracle: Oracle | None) -> wp.array:
+    """Return where the surface crosses each edge (edges,), in voxels from the edge's lower one.
+
+    Without an oracle it is where the volume's trilinear field does.
+    """
+    device = volume.device
+    along = wp.empty(counts.edges, dtype=float, device=device)
+    layers = len(grid.cells.starts) - 1
+    if oracle is None:
+        launch_in_slabs(
+            _cross_edges, dim=layers, inputs=[grid, volume.voxels], outputs=[along], device=device, least_slab=256
+        )
+        return along
+    launch_in_slabs(
+        search_kernel(oracle.value, oracle.state_type),
+        dim=layers,
+        inputs=[
+            grid,
+            volume.table.blocks,
+            volume.voxels,
+            volume.truncation / volume.voxel_size,
+            oracle.state,
+        ],
+        outputs=[along],
+        device=device,
+        least_slab=64,
+    )
+    return along
