@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from datagen.errors import InputError
-from datagen.scene_spec.trajectory_settings import SpeedLimits, Trajectory
+from datagen.scene_spec.trajectory_settings import BlendCameraTrajectory, SpeedLimits, Trajectory
 from datagen.trajectory.camera_path import camera_path
 from datagen.trajectory.frame_ranges import frame_ranges
 
@@ -57,39 +57,42 @@ def exceeded(path: Array, limits: SpeedLimits, frames_per_second: float) -> list
     return found
 
 
-def frames_needed(settings: Trajectory, frames: int, frames_per_second: float, seed: int) -> int | None:
-    """Return with how many frames a trajectory keeps its limits, or None where more frames do not slow it down."""
-    assert settings.limits is not None
+def frames_needed(
+    settings: Trajectory, path: Array, limits: SpeedLimits, *, frames_per_second: float, seed: int
+) -> int | None:
+    """Return with how many frames a trajectory keeps its limits, or None where more frames do not slow it down.
+
+    ``path`` (N, 4, 4) is what it is with its present number of frames.
+    """
     for _ in range(TRIES):
+        found = exceeded(path, limits, frames_per_second)
+        if not found:
+            return len(path)
+        frames = math.ceil((len(path) - 1) * max(excess.fastest / excess.limit for excess in found)) + 1
+        if frames > MOST_FRAMES:
+            return None
+        if isinstance(settings, BlendCameraTrajectory):
+            return None if settings.shake is not None else frames
         try:
             path = camera_path(settings, frames, frames_per_second, seed)
         except InputError:
             return None  # so long is no recording
-        found = exceeded(path, settings.limits, frames_per_second)
-        if not found:
-            return frames
-        too_fast_by = max(excess.fastest / excess.limit for excess in found)
-        frames = math.ceil((frames - 1) * too_fast_by) + 1
-        if frames > MOST_FRAMES:
-            return None
     return None
 
 
-def require_within_limits(
-    settings: Trajectory, path: Array, *, frames_per_second: float, seed: int, can_be_stretched: bool = True
-) -> None:
+def require_within_limits(settings: Trajectory, path: Array, *, frames_per_second: float, seed: int) -> None:
     """Raise InputError naming the frames of ``path`` that exceed the trajectory's limits, and what would mend it."""
     if settings.limits is None:
         return
     found = exceeded(path, settings.limits, frames_per_second)
     if not found:
         return
-    lines = [
+    faults = [
         f"{frame_ranges(excess.frames)}: the camera {'moves' if excess.key == 'max_speed' else 'turns'} at up to "
         f"{excess.fastest:.3g} {excess.unit}, {excess.fastest / excess.limit:.3g} times trajectory.limits.{excess.key} "
         f"({excess.limit:g} {excess.unit})"
         for excess in found
     ]
-    needed = frames_needed(settings, len(path), frames_per_second, seed) if can_be_stretched else None
-    remedy = "shorten or calm the path, or raise the limits" if needed is None else f"render {needed} frames"
-    raise InputError("; ".join([*lines, remedy]))
+    needed = frames_needed(settings, path, settings.limits, frames_per_second=frames_per_second, seed=seed)
+    remedy = "calm the path or raise the limits" if needed is None else f"render {needed} frames, or raise the limits"
+    raise InputError(f"the camera's path: {'; '.join(faults)}; {remedy}")

@@ -24,7 +24,7 @@ def look_at_each(positions_world: Array, targets_world: ArrayLike) -> Array:
         i = undecided[0]
         raise InputError(
             f"trajectory: in frame {i} the camera, at {np.round(positions_world[i], 6).tolist()}, is at, straight "
-            "above or below what it looks at, so that no side of the image is up; move the path or look_at a little aside"
+            "above or below what it looks at: no side of the image is up; move the path or look_at a little aside"
         )
     forward /= distance[:, None]
     right /= np.linalg.norm(right, axis=1)[:, None]
