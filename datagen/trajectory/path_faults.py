@@ -1,0 +1,126 @@
+"""What can be wrong with a path in a scene, and what the image shows of its subject."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.camera import PinholeCamera
+from datagen.rigid import Matrix, inverse, transform_points
+from datagen.trajectory.frame_ranges import frame_ranges
+
+MOST_FAULTS = 8
+"""That one message names."""
+GRID = 5
+"""Points along each side of a bounding box."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Box:
+    """A bounding box: the unit cube, 0 to 1, taken to the world by the affine ``world_from_unit`` (4×4)."""
+
+    name: str
+    world_from_unit: Matrix
+
+    @property
+    def points_world(self) -> NDArray[np.float64]:
+        """A grid of points in it (GRID³, 3), from corner to corner."""
+        steps = np.linspace(0, 1, GRID)
+        return transform_points(
+            self.world_from_unit, np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(-1, 3)
+        )
+
+    @property
+    def range_world(self) -> NDArray[np.float64]:
+        """The smallest and the largest coordinates (2, 3) that it reaches."""
+        points = self.points_world
+        return np.stack([points.min(axis=0), points.max(axis=0)])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fault:
+    """``frames`` in which ``what`` is wrong."""
+
+    frames: tuple[int, ...]
+    what: str
+
+    def __str__(self) -> str:
+        return f"{frame_ranges(self.frames)}: {self.what}"
+
+
+def default_subjects(boxes: Sequence[Box], path: NDArray[np.float64]) -> tuple[Box, ...]:
+    """Return the boxes that the camera does not move above, below or inside all the time, as floors and rooms."""
+    places = path[:, :2, 3]
+    return tuple(
+        box for box in boxes if not ((places >= box.range_world[0, :2]) & (places <= box.range_world[1, :2])).all()
+    )
+
+
+def part_in_view(
+    box: Box, path: NDArray[np.float64], camera: PinholeCamera, clip_range: tuple[float, float]
+) -> NDArray[np.float64]:
+    """Return for each pose of a path (N, 4, 4) what part of a box' points lies in the image and the clip range."""
+    points, (near, far) = box.points_world, clip_range
+    parts = np.empty(len(path))
+    for i, world_from_camera in enumerate(path):
+        points_camera = transform_points(inverse(world_from_camera), points)
+        points_camera = points_camera[(points_camera[:, 2] >= near) & (points_camera[:, 2] <= far)]
+        u, v = camera.project(points_camera).T
+        inside = (u >= -0.5) & (u <= camera.width - 0.5) & (v >= -0.5) & (v <= camera.height - 0.5)
+        parts[i] = np.count_nonzero(inside) / len(points)
+    return parts
+
+
+def view_faults(
+    boxes: Sequence[Box],
+    path: NDArray[np.float64],
+    camera: PinholeCamera,
+    clip_range: tuple[float, float],
+    *,
+    subject: Sequence[str],
+    min_in_view: float,
+) -> list[Fault]:
+    """Return the frames in which a named subject, or where none is named every object, is out of view.
+
+    Boxes of one name, as those of one object's copies, count together.
+    """
+    if not min_in_view:
+        return []
+    chosen = [box for box in boxes if box.name in subject] if subject else default_subjects(boxes, path)
+    in_view: dict[str, NDArray[np.float64]] = {}
+    for box in chosen:
+        part = part_in_view(box, path, camera, clip_range)
+        in_view[box.name] = np.maximum(part, in_view.get(box.name, 0.0))
+    if not in_view:
+        return []
+    if not subject:
+        in_view = {_listed(sorted(in_view)): np.max(list(in_view.values()), axis=0)}
+    faults = []
+    for name, part in in_view.items():
+        frames = np.flatnonzero(part < min_in_view)
+        if len(frames):
+            what = (
+                f"{part[frames].min():.0%} of {name if not subject else repr(name)} is in view, at least "
+                f"{min_in_view:.0%} is asked for (trajectory.min_in_view)"
+            )
+            faults.append(Fault(frames=tuple(frames.tolist()), what=what))
+    return faults
+
+
+def describe_faults(faults: Sequence[Fault]) -> str:
+    """Return what is wrong with a path and what would mend it, in one message."""
+    named = [str(fault) for fault in faults[:MOST_FAULTS]]
+    if len(faults) > MOST_FAULTS:
+        named.append(f"and {len(faults) - MOST_FAULTS} faults more")
+    return (
+        f"the camera's path: {'; '.join(named)}. Move the path or the objects, name what is to be seen "
+        "(trajectory.subject), or render it all the same (trajectory.check = false)"
+    )
+
+
+def _listed(names: Sequence[str]) -> str:
+    if len(names) == 1:
+        return repr(names[0])
+    more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+    return f"any of {', '.join(map(repr, names[:3]))}{more}"
