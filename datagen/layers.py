@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from datagen.atomic_write import replacing, write_bytes
 from datagen.dataset_format import frame_file
 from datagen.errors import InputError
+from datagen.images import write_color, write_depth
 
 NORMAL_STEPS = 32767
 """A normal's component −1 … 1 is stored as (component + 1) · 32767; 0 0 0 marks pixels without a surface."""
@@ -76,7 +77,7 @@ def _read_flow(path: Path) -> NDArray[np.float32]:
 LAYERS = {
     "normals": Layer(
         part="normals.png",
-        meaning="unit surface normals (H, W, 3), camera axes, towards the camera; 0 0 0 where no surface is",
+        meaning="unit normals (H, W, 3) of the geometry, unshaded; camera axes, towards the camera; 0 0 0: no surface",
         encode=_write_normals,
         decode=_read_normals,
     ),
@@ -103,3 +104,14 @@ LAYERS = {
 def layer_file(dataset_folder: Path, name: str, frame_id: int) -> Path:
     """Return the path of a frame's image in the layer ``name``."""
     return frame_file(dataset_folder / name, frame_id, LAYERS[name].part)
+
+
+def write_layer(dataset_folder: Path, name: str, frame_id: int, image: NDArray, *, depth_scale: float) -> None:
+    """Write a frame's ``image`` of the layer ``name`` atomically; depth is metres, ``depth_scale`` metres per step."""
+    path, layer = layer_file(dataset_folder, name, frame_id), LAYERS[name]
+    if layer.encode is not None:
+        layer.encode(path, image)
+    elif layer.part == "depth.png":
+        write_depth(path, image, metres_per_step=depth_scale)
+    else:
+        write_color(path, image)

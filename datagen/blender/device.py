@@ -1,6 +1,5 @@
 """Which processor Cycles renders on."""
 
-import platform
 from dataclasses import dataclass
 
 import bpy
@@ -19,17 +18,21 @@ class RenderDevice:
     name: str
 
 
-def select_device(scene: bpy.types.Scene, wanted: str) -> RenderDevice:
+def select_device(scene: bpy.types.Scene, wanted: str, *, require_gpu: bool = False) -> RenderDevice:
     """Set Cycles to the device type ``wanted``, or for ``auto`` to the best there is, and return what will render.
 
-    Raises InputError where the device asked for is not there: Cycles would render on the CPU without a word.
+    Raises InputError where the device asked for, or with ``require_gpu`` any GPU, is not there: Cycles would render on
+    the CPU without a word.
     """
     available = {kind: names for kind in GPU_TYPES if (names := _device_names(kind))}
     if wanted == "auto":
         wanted = next(iter(available), "cpu")
     if wanted == "cpu":
+        if require_gpu:
+            found = ", ".join(available) or "none"
+            raise InputError(f"--require-gpu: this would render on the CPU; GPUs that Blender finds here: {found}")
         scene.cycles.device = "CPU"
-        return RenderDevice(type="cpu", name=platform.processor() or platform.machine())
+        return RenderDevice(type="cpu", name=", ".join(_device_names("CPU")))
     if wanted not in available:
         found = ", ".join(["cpu", *available])
         raise InputError(f"--device {wanted}: Blender finds no such device here; there are: {found}")
@@ -45,7 +48,7 @@ def select_device(scene: bpy.types.Scene, wanted: str) -> RenderDevice:
 
 def _device_names(kind: str) -> list[str]:
     preferences = _preferences()
-    offered = {entry[0] for entry in preferences.get_device_types(bpy.context)}
+    offered = {"CPU", *(entry[0] for entry in preferences.get_device_types(bpy.context))}
     if kind.upper() not in offered:
         return []
     return [device.name for device in preferences.get_devices_for_type(kind.upper()) if device.type == kind.upper()]

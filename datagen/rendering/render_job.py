@@ -2,8 +2,7 @@
 
 import json
 import os
-import platform
-from importlib import metadata as package_metadata
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,59 +10,73 @@ from pydantic import ValidationError
 
 from datagen.atomic_write import TEMPORARY_PREFIX, remove_unfinished
 from datagen.dataset import Dataset
-from datagen.dataset_format import (
-    FRAMES_FOLDER,
-    GROUND_TRUTH_FILE,
-    METADATA_FILE,
-    Intrinsics,
-    Metadata,
-    read_metadata,
-    write_metadata,
-)
+from datagen.dataset_format import FRAMES_FOLDER, GROUND_TRUTH_FILE, METADATA_FILE, read_metadata
 from datagen.errors import InputError
 from datagen.open_dataset import open_dataset
 from datagen.progress import ProgressReporter, silent
-from datagen.rendering.render_workers import Job, Report, Task, render_workers
+from datagen.rendering.crew import render_workers
+from datagen.rendering.folder_lock import LOCK_FILE, Claim, claiming
+from datagen.rendering.frame_files import damaged_file, frame_files, is_complete
+from datagen.rendering.provenance import recipe_of, settle_metadata
+from datagen.rendering.render_workers import FRAMES_PER_WORKER, Job, Task
+from datagen.rendering.scratch import remove_abandoned_scratch
+from datagen.rendering.shards import Shard
 from datagen.scene_spec.scene import Scene
-from datagen.sensors.extra_layers import distortion_of, sensor_of
+from datagen.scene_spec.scene_layers import layers_of
 
 DEVICES = ("auto", "cpu", "optix", "cuda", "hip", "metal", "oneapi")
-IRRELEVANT_TO_FRAMES = {"description"}
+WHOLE = Shard()
 
 
 def render_dataset(
-    scene: Scene, folder: Path, *, device: str = "auto", workers: int = 1, progress: ProgressReporter = silent
+    scene: Scene,
+    folder: Path,
+    *,
+    device: str = "auto",
+    require_gpu: bool = False,
+    workers: int = 1,
+    frames_per_worker: int = FRAMES_PER_WORKER,
+    shard: Shard = WHOLE,
+    progress: ProgressReporter = silent,
+    tell: Callable[[str], None] = lambda _: None,
 ) -> Dataset:
-    """Render ``scene`` into ``folder`` in worker processes and return the dataset.
+    """Render ``scene``, or the frames of one ``shard``, into ``folder`` in worker processes and return the dataset.
 
-    Where the folder holds a part of the same dataset, only what is missing is rendered; where it holds all, Blender is
-    not started. Raises InputError where it holds anything else, where the device is not there or Blender is not
-    installed, and WorkerError where Blender fails; finished frames stay.
+    Where the folder holds a part of the same dataset, only what is missing or damaged is rendered; where it holds all,
+    Blender is not started. ``tell`` gets a sentence for each mishap that was overcome. Raises InputError where the
+    folder holds anything else, where another process renders these frames into it, where the device is not there or
+    Blender is not installed, and WorkerError where Blender fails twice at a frame; finished frames stay.
     """
     folder = folder.resolve()
+    frames = shard.frames(scene.render.frames)
     _require_own_folder(folder, scene)
-    _remove_leftovers(folder)
-    tasks = _missing(folder, scene)
+    remove_abandoned_scratch()
+    tasks = _missing(folder, scene, frames, tell)
     if not tasks:
         return open_dataset(folder)
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    job = Job(scene=scene, folder=folder, device=device, threads=max(1, cores // workers) if workers > 1 else 0)
-    advance = progress("Rendering", sum(task.kind == "frame" for task in tasks))
-    try:
-        with render_workers(job, tasks, workers=workers) as reports:
-            for report in reports:
-                if report.task is None:
-                    _settle_metadata(folder, scene, report)
-                elif report.task.kind == "frame":
-                    advance()
-    finally:
-        _remove_leftovers(folder)
+    job = Job(
+        scene=scene,
+        folder=folder,
+        device=device,
+        threads=max(1, cores // workers) if workers > 1 else 0,
+        require_gpu=require_gpu,
+        frames_per_worker=frames_per_worker,
+    )
+    with claiming(folder, frames) as claim:
+        _remove_leftovers(folder, scene, claim)
+        _give_up_damaged(folder, scene, tasks)
+        advance = progress("Rendering", sum(task.kind == "frame" for task in tasks))
+        try:
+            with render_workers(job, tasks, workers=workers, tell=tell) as reports:
+                for report in reports:
+                    if report.task is None:
+                        settle_metadata(folder, scene, report.content)
+                    elif report.task.kind == "frame":
+                        advance()
+        finally:
+            _remove_leftovers(folder, scene, claim)
     return open_dataset(folder)
-
-
-def recipe_of(scene: Scene) -> dict[str, Any]:
-    """Return all that decides what a dataset's frames show, ready for JSON."""
-    return scene.model_dump(mode="json", exclude=IRRELEVANT_TO_FRAMES)
 
 
 def _require_own_folder(folder: Path, scene: Scene) -> None:
@@ -80,7 +93,8 @@ def _require_own_folder(folder: Path, scene: Scene) -> None:
                 "name another folder, or delete this one to render anew"
             )
     elif folder.is_dir():
-        foreign = sorted(path.name for path in folder.iterdir() if not path.name.startswith(TEMPORARY_PREFIX))
+        ours = (TEMPORARY_PREFIX, LOCK_FILE)
+        foreign = sorted(path.name for path in folder.iterdir() if not path.name.startswith(ours))
         if foreign:
             raise InputError(
                 f"{folder}: holds files that are no dataset of ours ({', '.join(foreign[:3])}); "
@@ -108,58 +122,33 @@ def _first_difference(there: Any, wanted: Any, key: str = "") -> tuple[str, Any,
     return next((difference for difference in found if difference is not None), None)
 
 
-def _missing(folder: Path, scene: Scene) -> list[Task]:
+def _missing(folder: Path, scene: Scene, frames: range, tell: Callable[[str], None]) -> list[Task]:
     """Return what is still to do, in order."""
-    frames = range(scene.render.frames)
     if not (folder / METADATA_FILE).is_file():
         return [Task(kind="ground_truth"), *(Task(kind="frame", frame=i) for i in frames)]
-    dataset = open_dataset(folder)
-    tasks = [Task(kind="frame", frame=i) for i in frames if not dataset.is_complete(i)]
-    return tasks if (folder / GROUND_TRUTH_FILE).is_file() else [Task(kind="ground_truth"), *tasks]
+    tasks = [] if (folder / GROUND_TRUTH_FILE).is_file() else [Task(kind="ground_truth")]
+    for frame in frames:
+        files = frame_files(folder, layers_of(scene), frame)
+        if not is_complete(files):
+            tasks.append(Task(kind="frame", frame=frame))
+        elif (damaged := damaged_file(files)) is not None:
+            tell(f"{damaged}: damaged; frame {frame} is rendered again")
+            tasks.append(Task(kind="frame", frame=frame))
+    return tasks
 
 
-def _settle_metadata(folder: Path, scene: Scene, report: Report) -> None:
-    """Write ``dataset.json``, or check that what begins to render now is what rendered the frames that are there."""
-    provenance = {
-        "program": f"scanback {_version()}",
-        **report.content["provenance"],
-        "platform": platform.platform(),
-        "python": platform.python_version(),
-    }
-    intrinsics = Intrinsics(**report.content["intrinsics"])
-    metadata = Metadata(
-        frame_count=scene.render.frames,
-        intrinsics=intrinsics,
-        depth_scale=scene.render.depth_scale,
-        frames_per_second=scene.render.frames_per_second,
-        ground_truth_mesh=GROUND_TRUTH_FILE,
-        sensor=sensor_of(scene),
-        distortion=distortion_of(intrinsics.camera, scene.lens) if scene.lens is not None else None,
-        recipe=recipe_of(scene),
-        provenance=provenance,
-    )
-    if not (folder / METADATA_FILE).is_file():
-        write_metadata(folder, metadata)
-        return
-    begun = read_metadata(folder)
-    for key in ("blender", "device"):
-        before, now = begun.provenance.get(key), provenance[key]
-        if before != now:
-            raise InputError(
-                f"{folder}: its frames were rendered with {key} {before}, this would go on with {now}, and they would "
-                f"not match; use {before} again, or another folder"
-            )
-    if begun.intrinsics != metadata.intrinsics:
-        raise InputError(f"{folder}: its camera is {begun.intrinsics}, Blender now has {metadata.intrinsics}")
+def _give_up_damaged(folder: Path, scene: Scene, tasks: list[Task]) -> None:
+    """Take their pose from the frames that are rendered anew, so that readers do not take them for whole meanwhile."""
+    for task in tasks:
+        if task.kind == "frame":
+            frame_files(folder, layers_of(scene), task.frame)[-1].unlink(missing_ok=True)
 
 
-def _version() -> str:
-    try:
-        return package_metadata.version("scanback")
-    except package_metadata.PackageNotFoundError:
-        return "(source checkout)"
-
-
-def _remove_leftovers(folder: Path) -> None:
-    for place in (folder, folder / FRAMES_FOLDER, (folder / GROUND_TRUTH_FILE).parent):
-        remove_unfinished(place)
+def _remove_leftovers(folder: Path, scene: Scene, claim: Claim) -> None:
+    """Delete unfinished files, unless they may be those of another process that renders into the folder."""
+    with claim.alone() as alone:
+        if not alone:
+            return
+        places = (folder, folder / FRAMES_FOLDER, (folder / GROUND_TRUTH_FILE).parent)
+        for place in (*places, *(folder / name for name in layers_of(scene))):
+            remove_unfinished(place)

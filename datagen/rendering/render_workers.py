@@ -1,6 +1,8 @@
 """Rendering processes: Blender's crashes, noise and memory stay outside the process that the user sees.
 
-A worker is told one task at a time and reports when it is done, so that one that dies takes one frame along, no more.
+A worker is told its next task when it has rendered the last one, whose files it still writes then. One that dies
+takes two frames along, no more, and they are given to a fresh worker once. A worker that has rendered many frames, or
+has grown, is let go and followed by a fresh one.
 """
 
 import contextlib
@@ -11,31 +13,42 @@ import subprocess
 import sys
 import tempfile
 import threading
-from collections import deque
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+import psutil
+
+from datagen.dataset_format import METADATA_FILE
 from datagen.errors import InputError, WorkerError
+from datagen.rendering.scratch import hold, make_scratch
 from datagen.scene_spec.scene import Scene
 
 WORKER_MODULE = "datagen.blender.worker"
 LOG_TAIL_BYTES = 2000
-MEMORY_FOLDER = Path("/dev/shm")  # noqa: S108 - only a subfolder of its own, made by tempfile, is used
-BYTES_PER_PIXEL = 4 * 5
-"""Of the image that Blender hands over: red, green, blue, alpha and depth in single precision."""
+BYTES_PER_PIXEL = 4 * 14
+"""Of what Blender hands over a frame in single precision: two images of red, green, blue, alpha, depth and index (one
+waits to be written), each noisy and clean where it is denoised."""
+FRAMES_PER_WORKER = 1000
+MEMORY_GROWTH = 1.5
+MEMORY_GRACE_BYTES = 256 * 2**20
+SETTLED_FRAMES = 3
+"""A worker is replaced when its memory is MEMORY_GROWTH times what it was after so many frames, and the grace more."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Job:
-    """What is rendered, where to, and on what; ``threads`` for each worker, 0 for all cores."""
+    """What is rendered, where to, and on what; ``threads`` for each worker, 0 for all cores.
+
+    A worker is replaced after ``frames_per_worker`` frames.
+    """
 
     scene: Scene
     folder: Path
     device: str
     threads: int = 0
+    require_gpu: bool = False
+    frames_per_worker: int = FRAMES_PER_WORKER
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,15 +71,22 @@ class Report:
 
 
 class RenderWorker:
-    """One worker process, its log, and the task that it has in hand (None: it is starting)."""
+    """One worker process, its log, the task that it renders and the one whose files it writes (None: no such)."""
 
     def __init__(self, job: Job, inbox: "queue.Queue[tuple[RenderWorker, str]]") -> None:
-        self.task: Task | None = None
-        self._folder = job.folder
-        self._scratch = tempfile.mkdtemp(prefix="scanback-", dir=_scratch_parent(job))
-        self._log = tempfile.TemporaryFile("w+b")  # noqa: SIM115 - closed when the worker is stopped
+        self.rendering: Task | None = None
+        self.writing: Task | None = None
+        self.retired = False
+        self._job = job
+        self._rendered = 0
+        self._settled_bytes = 0
+        width, height = job.scene.render.size
+        self._open = contextlib.ExitStack()
+        self._scratch = make_scratch(width * height * BYTES_PER_PIXEL)
+        self._open.enter_context(hold(self._scratch))
+        self._log = self._open.enter_context(tempfile.TemporaryFile("w+b"))  # noqa: SIM115 - that closes it
         self._process = subprocess.Popen(  # noqa: S603 - our own module
-            [sys.executable, "-m", WORKER_MODULE, self._scratch],
+            [sys.executable, "-m", WORKER_MODULE, str(self._scratch)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._log,
@@ -81,27 +101,68 @@ class RenderWorker:
                 "scene": job.scene.model_dump_json(),
                 "device": job.device,
                 "threads": job.threads,
+                "require_gpu": job.require_gpu,
+                # Once a dataset is begun, its path has been found to be good.
+                "check_path": not (job.folder / METADATA_FILE).is_file(),
             }
         )
 
+    @property
+    def in_hand(self) -> list[Task]:
+        """The tasks that end with the worker if it dies now, the earlier first."""
+        return [task for task in (self.writing, self.rendering) if task is not None]
+
     def assign(self, task: Task) -> None:
         """Tell the worker to begin ``task``."""
-        self.task = task
-        self._send({"kind": task.kind, "frame": task.frame, "folder": str(self._folder)})
+        self.rendering = task
+        self._send({"kind": task.kind, "frame": task.frame, "folder": str(self._job.folder)})
 
-    def failure(self, report: dict[str, Any] | None) -> Exception:
-        """Return the error that stands for a report of failure, or for None, the end of the process."""
-        doing = str(self.task) if self.task is not None else "starting Blender"
-        if report is not None and report["input_error"]:
-            return InputError(report["error"])
+    def note_rendered(self) -> None:
+        """Take note that the worker has rendered its task and writes the files now."""
+        self.writing, self.rendering = self.rendering, None
+        self._rendered += 1
+        if self._rendered == SETTLED_FRAMES:
+            self._settled_bytes = self._memory_bytes()
+
+    def is_worn_out(self) -> bool:
+        """Tell whether a fresh worker should follow: many frames rendered, or memory that grows."""
+        if self._rendered >= self._job.frames_per_worker:
+            return True
+        bound = self._settled_bytes * MEMORY_GROWTH + MEMORY_GRACE_BYTES
+        return self._rendered > SETTLED_FRAMES and self._memory_bytes() > bound
+
+    def retire(self) -> None:
+        """Let the worker finish what it has in hand and end."""
+        self.retired = True
+        with contextlib.suppress(BrokenPipeError):
+            assert self._process.stdin is not None
+            self._process.stdin.close()
+
+    def note_done(self) -> Task:
+        """Take note that the files are there, and return the task that is done with that."""
+        assert self.writing is not None
+        done, self.writing = self.writing, None
+        return done
+
+    def complaint(self, report: dict[str, Any] | None) -> str:
+        """Say what failed and how, by a report of failure, or for None, by the end of the process."""
+        blamed = self.rendering or self.writing
         if report is not None:
+            task = report.get("task")
+            blamed = self.writing if task is not None else blamed
             reason = report["error"]
         else:
             status = self._process.wait()
             how = f"signal {-status}" if status < 0 else f"exit code {status}"
             reason = f"the rendering process ended unexpectedly ({how})"
+        return f"{blamed if blamed is not None else 'starting Blender'}: {reason}"
+
+    def failure(self, report: dict[str, Any] | None) -> InputError | WorkerError:
+        """Return the error that stands for a report of failure, or for None, for the end of the process."""
+        if report is not None and report["input_error"]:
+            return InputError(report["error"])
         return WorkerError(
-            f"{doing}: {reason}; finished frames are kept and the same command goes on from there. "
+            f"{self.complaint(report)}; finished frames are kept and the same command goes on from there. "
             f"The last it printed:\n{self._log_tail()}"
         )
 
@@ -114,8 +175,14 @@ class RenderWorker:
             with contextlib.suppress(BrokenPipeError):
                 assert pipe is not None
                 pipe.close()
-        self._log.close()
         shutil.rmtree(self._scratch, ignore_errors=True)
+        self._open.close()
+
+    def _memory_bytes(self) -> int:
+        try:
+            return int(psutil.Process(self._process.pid).memory_info().rss)
+        except psutil.Error:
+            return 0
 
     def _send(self, message: dict[str, Any]) -> None:
         assert self._process.stdin is not None
@@ -133,44 +200,3 @@ class RenderWorker:
     def _log_tail(self) -> str:
         self._log.seek(0)
         return self._log.read()[-LOG_TAIL_BYTES:].decode(errors="replace").strip() or "(nothing)"
-
-
-@contextmanager
-def render_workers(job: Job, tasks: Sequence[Task], *, workers: int) -> Iterator[Iterator[Report]]:
-    """Have processes do ``tasks``: the block gets their reports as they come, and when it is left they end.
-
-    The reports raise InputError for what a worker refuses, and WorkerError, with the end of its log, for one that
-    fails or dies.
-    """
-    inbox: queue.Queue[tuple[RenderWorker, str]] = queue.Queue()
-    crew: list[RenderWorker] = []
-    try:
-        for _ in range(min(workers, len(tasks))):
-            crew.append(RenderWorker(job, inbox))
-        yield _reports(tasks, inbox)
-    finally:
-        for worker in crew:
-            worker.stop()
-
-
-def _reports(tasks: Sequence[Task], inbox: "queue.Queue[tuple[RenderWorker, str]]") -> Iterator[Report]:
-    """Yield each report before its worker gets the next task, so that the caller can act on it in time."""
-    waiting = deque(tasks)
-    unfinished = len(waiting)
-    while unfinished:
-        worker, line = inbox.get()
-        content = json.loads(line) if line else None
-        if content is None or "error" in content:
-            raise worker.failure(content)
-        yield Report(task=worker.task, content=content)
-        unfinished -= worker.task is not None
-        if waiting:
-            worker.assign(waiting.popleft())
-
-
-def _scratch_parent(job: Job) -> Path | None:
-    """Return the memory-backed folder where it holds an image with room to spare (containers make it small)."""
-    width, height = job.scene.render.size
-    if not MEMORY_FOLDER.is_dir() or shutil.disk_usage(MEMORY_FOLDER).free < 3 * width * height * BYTES_PER_PIXEL:
-        return None
-    return MEMORY_FOLDER

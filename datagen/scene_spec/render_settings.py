@@ -1,8 +1,22 @@
 """How many frames, how large and how carefully."""
 
-from pydantic import Field
+from types import MappingProxyType
+from typing import Any, Literal
+
+from pydantic import Field, field_validator
 
 from datagen.scene_spec.base import Pixels, Positive, Spec
+
+RenderedLayer = Literal["normals", "masks", "flow"]
+
+PRESETS: MappingProxyType[str, dict[str, Any]] = MappingProxyType(
+    {
+        "draft": {"samples": 2, "bounces": 2, "denoise": True},
+        "standard": {"samples": 4, "bounces": 4, "denoise": True},
+        "high": {"samples": 128, "bounces": 8, "denoise": True},
+    }
+)
+"""Settings that trade time for quality, measured by ``benchmarks/render.py``."""
 
 
 class RenderSettings(Spec):
@@ -10,7 +24,8 @@ class RenderSettings(Spec):
 
     ``samples`` is Cycles' samples a pixel and ``seed`` decides their noise; ``depth_scale`` is metres per step of the
     16-bit depth images, so 65534 steps must reach the farthest surface; ``bounces`` limits light paths; ``denoise``
-    runs OpenImageDenoise in its fast mode on the colours, never on depth.
+    runs OpenImageDenoise in its fast mode on the colours, never on depth. ``layers`` are written beside colour and
+    depth: geometric normals, object masks, optical flow to the next frame.
     """
 
     frames: int = Field(default=60, ge=1, le=1_000_000)
@@ -21,3 +36,10 @@ class RenderSettings(Spec):
     frames_per_second: Positive = 30.0
     bounces: int = Field(default=4, ge=0, le=64)
     denoise: bool = True
+    layers: tuple[RenderedLayer, ...] = Field(default=(), strict=False)
+
+    @field_validator("layers")
+    @classmethod
+    def _layers_are_in_one_order(cls, layers: tuple[RenderedLayer, ...]) -> tuple[RenderedLayer, ...]:
+        """Order and repetition mean nothing, and must not make two recipes of one."""
+        return tuple(sorted(set(layers)))
