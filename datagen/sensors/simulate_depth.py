@@ -99,7 +99,7 @@ def _displace_edges(measured: Image, w: Image, slopes: tuple[Image, Image], shif
     u, v = np.arange(width, dtype=np.float32) + du, np.arange(height, dtype=np.float32)[:, None] + dv
     beside = cv2.remap(w, u, v, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
     inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
-    elsewhere = np.abs(beside - w - slopes[0] * du - slopes[1] * dv) > SURFACE_TOLERANCE * w
+    elsewhere = np.abs(beside - w - slopes[0] * du - slopes[1] * dv) > np.float32(SURFACE_TOLERANCE) * w
     source = cv2.remap(measured, u, v, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
     np.copyto(measured, source, where=elsewhere & inside)
 
@@ -110,7 +110,7 @@ def _fatten(measured: Image, w: Image, slopes: tuple[Image, Image], *, radius_px
         return
     foreground = cv2.dilate(w, np.ones((2 * radius_px + 1, 2 * radius_px + 1), np.uint8))
     rise = np.float32(radius_px) * (np.abs(slopes[0]) + np.abs(slopes[1]))
-    beside_edge = foreground - w > rise + SURFACE_TOLERANCE * w
+    beside_edge = foreground - w > rise + np.float32(SURFACE_TOLERANCE) * w
     np.copyto(measured, inverse_depth(foreground), where=beside_edge & (w > 0))
 
 

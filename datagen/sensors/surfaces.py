@@ -13,7 +13,7 @@ from datagen.camera import PinholeCamera
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
-SURFACE_TOLERANCE = np.float32(0.01)
+SURFACE_TOLERANCE = 0.01
 """Share of its depth by which a point may leave the plane through its neighbours and still lie on their surface."""
 
 _NO_DIFFERENCE = np.float32(1e9)
@@ -25,21 +25,21 @@ def inverse_depth(depth: NDArray) -> Image:
     return np.divide(np.float32(1), z, out=np.zeros_like(z), where=z > 0)
 
 
-def inverse_depth_slopes(w: Image) -> tuple[Image, Image]:
+def inverse_depth_slopes(w: Image, *, tolerance: float = SURFACE_TOLERANCE) -> tuple[Image, Image]:
     """Return ∂w/∂u and ∂w/∂v (H, W each), 1/m a pixel, of inverse depth ``w``, without reaching across edges.
 
-    Where a pixel and its neighbours lie in line it is the central difference, else the difference to the neighbour that
-    lies on the pixel's surface; 0 where neither does.
+    Where a pixel and its neighbours lie in line within ``tolerance`` of their depth it is the central difference, else
+    the difference to the neighbour that lies on the pixel's surface; 0 where neither does.
     """
-    along_v = _slope_along_u(np.ascontiguousarray(w.T))
-    return _slope_along_u(w), np.ascontiguousarray(along_v.T)
+    along_v = _slope_along_u(np.ascontiguousarray(w.T), np.float32(tolerance))
+    return _slope_along_u(w, np.float32(tolerance)), np.ascontiguousarray(along_v.T)
 
 
-def _slope_along_u(w: Image) -> Image:
+def _slope_along_u(w: Image, tolerance: np.float32) -> Image:
     difference = np.full((w.shape[0], w.shape[1] + 1), _NO_DIFFERENCE)
     valid = w > 0
     np.subtract(w[:, 1:], w[:, :-1], out=difference[:, 1:-1], where=valid[:, 1:] & valid[:, :-1])
-    limit = SURFACE_TOLERANCE * w
+    limit = tolerance * w
     before, after = difference[:, :-1], difference[:, 1:]
     straight = (np.abs(after - before) <= limit) & (np.abs(after) < _NO_DIFFERENCE)
     # A one-sided difference is a slope only where that side is known to be surface: two pixels in line, or close.
@@ -95,7 +95,7 @@ def continuous_along_u(w: Image, *, tolerance: float) -> Mask:
     return near & valid
 
 
-def depth_edges(w: Image, *, tolerance: float = float(SURFACE_TOLERANCE)) -> Mask:
+def depth_edges(w: Image, *, tolerance: float = SURFACE_TOLERANCE) -> Mask:
     """Tell (H, W) which valid pixels have a neighbour, of four, on another surface or without depth."""
     across = ~continuous_along_u(w, tolerance=tolerance)
     down = ~continuous_along_u(w.T, tolerance=tolerance).T
