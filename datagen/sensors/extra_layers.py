@@ -68,5 +68,5 @@ def distortion_of(camera: PinholeCamera, lens: LensSettings) -> Distortion:
         intrinsics=Intrinsics(
             width=pinhole.width, height=pinhole.height, fx=pinhole.fx, fy=pinhole.fy, cx=pinhole.cx, cy=pinhole.cy
         ),
-        shown=float(shown.inside.mean()),
+        shown=round(float(shown.inside.mean()), 6),
     )

@@ -168,7 +168,8 @@ def test_a_rendered_dataset_has_the_layers_of_its_scene(blender, make_scene, tmp
         shown = dataset.read_layer("distorted_depth", frame)
         expected = distort_depth(depth, mapped)
         np.testing.assert_array_equal(shown > 0, expected > 0)
-        np.testing.assert_allclose(shown, expected, atol=3e-4)  # depth itself is in steps of 1e-4
+        # It was made from depth before its rounding to 1e-4, which at a silhouette can decide what is one surface.
+        assert (np.abs(shown - expected) <= 1.1e-4).mean() > 0.99
     assert (dataset.read_layer("sensor_depth", 0) > 0).any()
 
 
