@@ -25,7 +25,7 @@ def hemisphere(settings: HemisphereTrajectory, frames: int) -> Array:
     """Return world_from_camera (N, 4, 4) on a spiral whose frames are spread evenly over a belt of the sphere.
 
     Heights grow in equal steps, each with the same area (Archimedes), and azimuth in proportion to the polar angle,
-    so that the speed is constant too: a frame's step is turns·2π/|θ₂ − θ₁|·|h₂ − h₁|/N. Without a number of turns, a
+    so that the speed is all but constant too. Without a number of turns, a
     turn rises by √(area/N), as far as frames are apart (Bauer, Distribution of points on a sphere with application to
     star catalogs, 2000).
     """
@@ -60,7 +60,7 @@ def shell(settings: ShellTrajectory, frames: int, seed: int) -> Array:
         (0, 0, 0), settings.look_at_jitter * np.cbrt(drawn[:, 3]), 2 * np.pi * drawn[:, 4], 2 * drawn[:, 5] - 1
     )
     upright = look_at_each(positions, np.asarray(settings.look_at or settings.center) + aside)
-    roll = Rotation.from_euler("z", settings.roll_deg * (2 * drawn[:, 6] - 1), degrees=True)
+    roll = Rotation.from_rotvec(np.radians(settings.roll_deg) * (2 * drawn[:, 6:] - 1) * (0, 0, 1))
     upright[:, :3, :3] = upright[:, :3, :3] @ roll.as_matrix()
     return upright
 

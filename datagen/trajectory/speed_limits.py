@@ -68,7 +68,8 @@ def frames_needed(
         found = exceeded(path, limits, frames_per_second)
         if not found:
             return len(path)
-        frames = math.ceil((len(path) - 1) * max(excess.fastest / excess.limit for excess in found)) + 1
+        too_fast_by = max(excess.fastest / excess.limit for excess in found)
+        frames = max(math.ceil((len(path) - 1) * too_fast_by * (1 - ROUNDING)), len(path)) + 1
         if frames > MOST_FRAMES:
             return None
         if isinstance(settings, BlendCameraTrajectory):
