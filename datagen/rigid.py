@@ -11,12 +11,20 @@ RIGID_TOLERANCE = 1e-3
 """Largest entry of RᵀR − I that is taken for rounding and mended; beyond it a rotation is refused."""
 
 
+class NotRigidError(InputError):
+    """A rotation with scale, shear or reflection; ``is_reflection`` where it is orthonormal but mirrors."""
+
+    def __init__(self, message: str, *, is_reflection: bool) -> None:
+        super().__init__(message)
+        self.is_reflection = is_reflection
+
+
 def rigid(matrix: ArrayLike, *, source: str) -> Matrix:
     """Return ``matrix`` as an exactly rigid 4×4 transform, float64.
 
     A rotation within ``RIGID_TOLERANCE`` of orthonormal is replaced by the nearest one (the orthogonal polar factor).
     Raises InputError, beginning with ``source``, for a wrong shape, a NaN or infinite entry, a last row other than
-    0 0 0 1, a scale, a shear or a reflection.
+    0 0 0 1, and NotRigidError for a scale, a shear or a reflection.
     """
     candidate = np.asarray(matrix, dtype=np.float64)
     if candidate.shape != (4, 4):
@@ -33,10 +41,11 @@ def rigid(matrix: ArrayLike, *, source: str) -> Matrix:
     rotation = candidate[:3, :3]
     departure = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
     if departure > RIGID_TOLERANCE or np.linalg.det(rotation) < 0:
-        raise InputError(
+        raise NotRigidError(
             f"{source}: the pose is not rigid: its rotation departs from orthonormal by {departure:.3g} "
             f"(at most {RIGID_TOLERANCE:g}) and has determinant {np.linalg.det(rotation):.6g} (expected 1); "
-            "remove scale, shear and reflection"
+            "remove scale, shear and reflection",
+            is_reflection=departure <= RIGID_TOLERANCE,
         )
     left, _, right = np.linalg.svd(rotation)
     result = np.eye(4)
