@@ -73,7 +73,9 @@ def test_a_killed_process_leaves_no_torn_file_and_the_same_command_goes_on(tmp_p
 def test_a_folder_that_holds_anything_else_is_refused(source, tmp_path):
     out = convert(source, tmp_path / "out", "bop")
     before = files(out)
-    with pytest.raises(InputError, match=r"out: holds files already \(depth, models, rgb\); name a new or empty folder"):
+    with pytest.raises(
+        InputError, match=r"out: holds files already \(depth, models, rgb\); name a new or empty folder"
+    ):
         convert(source, out, "bop")
     assert files(out) == before
     with pytest.raises(InputError, match="a file, not a folder"):
@@ -158,7 +160,10 @@ def test_what_a_format_cannot_carry_is_told(source, tmp_path):
     source = open_dataset(source.folder)
     lost = {name: convert_dataset(source, tmp_path / name, format_named(name)).lost for name in FORMAT_NAMES}
     assert all("layers normals, masks" in entries for entries in lost.values())
-    assert {name for name, entries in lost.items() if "timestamps" in entries} == set(FORMAT_NAMES) - {"scanback", "tum"}
+    assert {name for name, entries in lost.items() if "timestamps" in entries} == set(FORMAT_NAMES) - {
+        "scanback",
+        "tum",
+    }
     assert {name for name, entries in lost.items() if "ground-truth mesh" in entries} == set(FORMAT_NAMES) - {
         "scanback",
         "bop",

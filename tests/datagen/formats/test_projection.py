@@ -1,7 +1,7 @@
 """Each format's own files, read by a few lines that know nothing of ours, put a pixel's surface point onto that pixel.
 
-Pixel (u, v) is at (u, v) where integer coordinates are pixel centres, and at (u + 0.5, v + 0.5) where the image's corner
-is the origin: a half pixel that were lost or added twice shows here, though a round trip would hide it.
+Pixel (u, v) is at (u, v) where integer coordinates are pixel centres, and at (u + 0.5, v + 0.5) where the image's
+corner is the origin: a half pixel that is lost or added twice shows here, though a round trip would hide it.
 """
 
 import json
