@@ -1,8 +1,14 @@
+import json
+
 import numpy as np
 import pytest
+from pydantic import TypeAdapter
 
 from datagen.errors import InputError
-from datagen.rigid import inverse, rotation_angle_deg, transform_points
+from datagen.rigid import inverse, look_at, rotation_angle_deg, transform_points
+from datagen.scene_spec.trajectory_settings import Trajectory
+from datagen.trajectory.camera_path import camera_path
+from datagen.trajectory.easing import EASINGS
 
 ELEVEN = {"frames": 11, "size": [64, 48], "samples": 1}
 
@@ -128,3 +134,206 @@ def test_keys_that_fall_together_are_refused(open_session, make_scene):
 def test_a_single_frame_stands_at_the_first_key(open_session, make_scene):
     session = open_session(make_scene(render=ELEVEN | {"frames": 1}, keyframes=keys([-1, -2, 0], [1, -2, 0])))
     np.testing.assert_allclose(poses_of(session)[0][:3, 3], [-1, -2, 0])
+
+
+FRAMES = 51
+TIMES = [0.0, 0.21, 0.45, 0.7, 1.0]
+"""Between frames, at 10.5 and 22.5, and on them: times that single precision, which Blender has, holds exactly."""
+
+
+@pytest.fixture
+def move(blender):
+    """Move a camera in an empty Blender, and return Blender's path and the one computed without it."""
+    import bpy
+
+    from datagen.blender.camera import BLENDER_FROM_OPENCV
+    from datagen.blender.trajectory import animate_camera, find_blend_camera
+
+    def moved(settings, *, frames=FRAMES, seed=0, scene=None):
+        if scene is None:
+            bpy.ops.wm.read_factory_settings(use_empty=True)
+            scene = bpy.context.scene
+        blend_camera = find_blend_camera(scene)
+        camera = bpy.data.objects.new("Ours", bpy.data.cameras.new("Ours"))
+        scene.collection.objects.link(camera)
+        settings = TypeAdapter(Trajectory).validate_json(json.dumps(settings))
+        path = animate_camera(
+            camera, settings, frames=frames, frames_per_second=30.0, seed=seed, blend_camera=blend_camera
+        )
+        evaluated = np.empty((frames, 4, 4))
+        for frame in range(frames):
+            scene.frame_set(frame)
+            matrix = camera.evaluated_get(bpy.context.evaluated_depsgraph_get()).matrix_world
+            evaluated[frame] = np.array(matrix) @ BLENDER_FROM_OPENCV
+        if settings.type != "blend-camera":
+            np.testing.assert_array_equal(path, camera_path(settings, frames, 30.0, seed))
+        return evaluated, path
+
+    return moved
+
+
+def random_keys(seed, *, closed=False, quaternions=False, **more):
+    random = np.random.default_rng(seed)
+    result = []
+    for time in TIMES:
+        key = {"time": time, "position": random.uniform(-1, 1, 3).tolist(), **more}
+        if quaternions:
+            quat = np.array([0.5, -0.5, 0.5, -0.5]) + random.uniform(-0.3, 0.3, 4)
+            key["quat_wxyz"] = (quat / np.linalg.norm(quat)).tolist()
+        else:
+            key["look_at"] = random.uniform((2, -0.5, -0.5), (3, 0.5, 0.5)).tolist()
+        result.append(key)
+    if closed:
+        result[-1] |= {name: result[0][name] for name in ("position", "look_at")}
+    return result
+
+
+def random_handles(seed, components, reach):
+    random = np.random.default_rng(seed)
+    times, values = random.uniform(0, reach, (2, components)), random.uniform(-0.3, 0.3, (2, components))
+    left, right = np.stack([times * [[-1], [1]], values], axis=-1).tolist()
+    return {"left": left, "right": right}
+
+
+def assert_same_path(moved):
+    blender, ours = moved
+    np.testing.assert_allclose(ours, blender, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("interpolation", ["linear", "smooth", "constant"])
+@pytest.mark.parametrize("quaternions", [False, True])
+def test_keys_are_evaluated_as_blender_does(move, interpolation, quaternions):
+    for seed in range(4):
+        keyframes = random_keys(seed, interpolation=interpolation, quaternions=quaternions)
+        assert_same_path(move({"type": "keyframes", "keyframes": keyframes}))
+
+
+@pytest.mark.parametrize("easing", ["auto", "in", "out", "in-out"])
+@pytest.mark.parametrize("interpolation", EASINGS)
+def test_easing_is_evaluated_as_blender_does(move, interpolation, easing):
+    keyframes = random_keys(1, interpolation=interpolation, easing=easing)
+    assert_same_path(move({"type": "keyframes", "keyframes": keyframes}))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_closed_paths_are_evaluated_as_blender_does_also_outside_of_their_keys(move, seed):
+    keyframes = random_keys(seed, closed=True)
+    assert_same_path(move({"type": "keyframes", "keyframes": keyframes}))
+    for key in keyframes:
+        key["time"] = 0.13 + 0.61 * key["time"]
+    assert_same_path(move({"type": "keyframes", "keyframes": keyframes}, frames=77))
+
+
+@pytest.mark.parametrize("closed", [False, True])
+@pytest.mark.parametrize("keyed", [(1,), (2, 3), (0,), (4,), (0, 1, 2, 3, 4)])
+@pytest.mark.parametrize("reach", [0.05, 0.2, 0.5])
+def test_given_handles_and_the_automatic_ones_beside_them_are_evaluated_as_blender_does(move, keyed, reach, closed):
+    keyframes = random_keys(6, closed=closed)
+    for i in keyed:
+        keyframes[i]["position_handles"] = random_handles(i, 3, reach)
+        keyframes[i]["look_at_handles"] = random_handles(i + 9, 3, reach)
+    assert_same_path(move({"type": "keyframes", "keyframes": keyframes}))
+
+
+def test_handles_of_quaternions_are_evaluated_as_blender_does(move):
+    keyframes = random_keys(2, quaternions=True)
+    keyframes[2]["quat_wxyz"] = [-number for number in keyframes[2]["quat_wxyz"]]
+    for i in (1, 2, 4):
+        keyframes[i]["quat_wxyz_handles"] = random_handles(i, 4, 0.1)
+    assert_same_path(move({"type": "keyframes", "keyframes": keyframes}))
+
+
+def test_linear_eased_and_handled_keys_mix_as_in_blender(move):
+    keyframes = random_keys(5)
+    for key, name in zip(keyframes, ["linear", "smooth", "bounce", "smooth", "smooth"], strict=True):
+        key["interpolation"] = name
+    keyframes[1]["position_handles"] = {"right": [[0.1, 0.5], [0.05, 0.0], [0.3, -0.2]]}
+    assert_same_path(move({"type": "keyframes", "keyframes": keyframes}))
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"type": "orbit", "radius": 1.2, "turns": 2.0},
+        {"type": "hemisphere", "radius": 1.2},
+        {"type": "shell", "radius": [0.5, 1.5], "roll_deg": 40.0, "look_at_jitter": 0.1},
+        {"type": "orbit", "radius": 1.2, "shake": {"position": 0.01, "rotation_deg": 1.0}},
+        {"type": "keyframes", "keyframes": random_keys(0), "shake": {"position": 0.01}},
+    ],
+)
+def test_any_other_path_stands_in_blender_frame_by_frame(move, settings):
+    assert_same_path(move(settings, frames=60, seed=3))
+
+
+def test_between_frames_a_baked_path_takes_no_long_way_round(move):
+    import bpy
+
+    move({"type": "orbit", "radius": 1.0, "turns": 3.0}, frames=60)
+    camera = bpy.data.objects["Ours"]
+    for frame in range(59):
+        bpy.context.scene.frame_set(frame, subframe=0.5)
+        position = np.array(camera.matrix_world.translation)
+        forward = -np.array(camera.matrix_world.to_3x3())[:, 2]
+        assert forward @ -position / np.linalg.norm(position) > 0.99
+
+
+def animated_blend_camera():
+    """Make a .blend's scene: a camera on a turning, scaled arm, looking at the origin, from frame 10 to 50."""
+    import bpy
+
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    arm, target = bpy.data.objects.new("Arm", None), bpy.data.objects.new("Target", None)
+    camera = bpy.data.objects.new("Theirs", bpy.data.cameras.new("Theirs"))
+    for thing in (arm, target, camera):
+        scene.collection.objects.link(thing)
+    camera.parent, arm.scale = arm, (2, 2, 2)
+    camera.location = (1, 0, 0.5)
+    constraint = camera.constraints.new("TRACK_TO")
+    constraint.target, constraint.track_axis, constraint.up_axis = target, "TRACK_NEGATIVE_Z", "UP_Y"
+    for frame, angle in ((10, 0), (50, np.pi)):
+        arm.rotation_euler.z = angle
+        arm.keyframe_insert("rotation_euler", frame=frame)
+    from datagen.blender.trajectory import f_curves
+
+    for curve in f_curves(arm):
+        for key in curve.keyframe_points:
+            key.interpolation = "LINEAR"
+    scene.camera, scene.frame_start, scene.frame_end = camera, 10, 50
+    return scene
+
+
+@pytest.mark.parametrize(("more", "first", "last"), [({}, 0, 180), ({"first_frame": 20, "last_frame": 30}, 45, 90)])
+def test_the_motion_of_a_blend_s_own_camera_is_stretched_over_the_frames(move, more, first, last):
+    scene = animated_blend_camera()
+    blender, ours = move({"type": "blend-camera", **more}, frames=13, scene=scene)
+    angles = np.radians(np.linspace(first, last, 13))
+    expected = [look_at((2 * np.cos(a), 2 * np.sin(a), 1), (0, 0, 0)) for a in angles]
+    np.testing.assert_allclose(blender, expected, atol=2e-6)
+    np.testing.assert_allclose(ours, expected, atol=2e-6)
+
+
+def test_a_scene_without_a_camera_of_its_own_is_refused(move):
+    with pytest.raises(InputError, match=r"no camera of its own.*choose another type of trajectory"):
+        move({"type": "blend-camera"})
+
+
+def test_keys_that_were_there_before_trajectories_were_move_the_camera_as_they_did(open_session, make_scene):
+    """Places that Blender's curves gave when keyframes were the only trajectory, recorded then."""
+    path = keys([-1, -2, 0], [0.4, -2, 1], [1, -1.5, 0.2], [-1, -2, 0])
+    path[1]["time"], path[1]["interpolation"] = 0.25, "linear"
+    session = open_session(make_scene(render=ELEVEN, keyframes=path))
+    recorded = [
+        [-1.0, -2.0, 0.0],
+        [-0.672361, -2.0703149, 0.4068016],
+        [0.0289428, -2.0454977, 0.846754],
+        [0.472, -1.94, 0.904],
+        [0.616, -1.82, 0.712],
+        [0.76, -1.7, 0.52],
+        [0.904, -1.58, 0.328],
+        [0.7910739, -1.5202042, 0.1004119],
+        [0.0206364, -1.6548597, -0.1190333],
+        [-0.6930591, -1.8405278, -0.1726026],
+        [-1.0, -2.0, 0.0],
+    ]
+    np.testing.assert_allclose([pose[:3, 3] for pose in poses_of(session)], recorded, atol=1e-6)
