@@ -5,6 +5,7 @@ import cv2
 import numpy as np
 import pytest
 import trimesh
+from converted_datasets import SCENE
 
 from datagen.errors import InputError
 from datagen.open_dataset import open_dataset
