@@ -221,18 +221,22 @@ def edge_number_in_cell(grid: DualGrid, slot: int, cell: wp.vec3i, edge: int) ->
 
 @wp.func
 def face_point_in_cell(
-    grid: DualGrid, curve_points: wp.array(dtype=wp.vec2), slot: int, cell: wp.vec3i, curve: int
+    grid: DualGrid, curve_points: wp.array(dtype=wp.vec4), slot: int, cell: wp.vec3i, curve: int, end: int
 ) -> wp.vec3:
-    """Return the 2-D point of a curve on one of a cell's faces, in the cell; ``curve`` is 2·face + which."""
-    axis = curve >> 2
-    side = (curve >> 1) & 1
+    """Return where a curve on one of a cell's faces leads to from one of its ends, in the cell.
+
+    ``curve`` is as in ``CellTable``; ``end`` is 0 where the loop comes from, 1 where it goes to.
+    """
+    axis = curve >> 3
+    side = (curve >> 2) & 1
     voxel = cell + side * step_along(axis)
     place = place_of(grid.cells.upper, slot, voxel[0], voxel[1], voxel[2])
-    on_face = curve_points[curve_number(grid, place[0], axis, place[1]) + (curve & 1)]
+    leads = curve_points[curve_number(grid, place[0], axis, place[1]) + ((curve >> 1) & 1)]
+    second = (curve & 1) != end
     point = wp.vec3()
     point[axis] = float(side)
-    point[face_u(axis)] = on_face[0]
-    point[face_v(axis)] = on_face[1]
+    point[face_u(axis)] = wp.where(second, leads[2], leads[0])
+    point[face_v(axis)] = wp.where(second, leads[3], leads[1])
     return point
 
 
@@ -245,7 +249,7 @@ def _solve_cells_from_faces(
     voxels: Voxels,
     voxel_size: float,
     along_edges: wp.array(dtype=float),
-    curve_points: wp.array(dtype=wp.vec2),
+    curve_points: wp.array(dtype=wp.vec4),
     places: wp.array(dtype=wp.vec3),
     points: wp.array(dtype=wp.vec3),
     colors: wp.array(dtype=wp.vec3ub),
@@ -263,12 +267,14 @@ def _solve_cells_from_faces(
         color = wp.vec4()
         start = tables.ends[case, loop]
         end = tables.ends[case, loop + 1]
-        before = face_point_in_cell(grid, curve_points, slot, local, tables.curves[case, end - 1])
+        arriving = tables.curves[case, end - 1]
         for i in range(start, end):
             edge = tables.edges[case, i]
             along = along_edges[edge_number_in_cell(grid, slot, local, edge)]
             point = point_along(edge, along)
-            after = face_point_in_cell(grid, curve_points, slot, local, tables.curves[case, i])
+            leaving = tables.curves[case, i]
+            before = face_point_in_cell(grid, curve_points, slot, local, arriving, 1)
+            after = face_point_in_cell(grid, curve_points, slot, local, leaving, 0)
             normal = wp.cross(before - point, after - point)
             if wp.length(normal) < _SMALLEST_CROSS:
                 normal = wp.vec3()
@@ -278,7 +284,7 @@ def _solve_cells_from_faces(
                 normal = -normal
             planes = with_plane(planes, point, normal)
             color += color_at(corners, edge, along)
-            before = after
+            arriving = leaving
         set_vertices(
             grid, tables, cell, corner, case, loop, planes, color, voxel_size, places, points, colors, normals
         )

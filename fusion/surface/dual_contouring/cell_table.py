@@ -27,8 +27,8 @@ class CellTable:
     """The 256 cases.
 
     ``loop_counts`` (256,); ``loop_ends`` (256, 4) where each loop ends among ``edges`` (256, 12), which has them one
-    after the other, −1 beyond; ``curves`` (256, 12) is 2·face + curve, along which the loop goes on from an edge to the
-    next. ``codes`` (256,) uint64 has at bits 4·edge … the number of the loop that an edge is in, or NO_VERTEX.
+    after the other, −1 beyond; ``curves`` (256, 12) is 4·face + 2·curve, along which the loop goes on from an edge to the
+    next, + 1 where it goes there from the curve's second end to its first: the ends are in the order of face edges. ``codes`` (256,) uint64 has at bits 4·edge … the number of the loop that an edge is in, or NO_VERTEX.
     """
 
     loop_counts: NDArray[np.int32]
@@ -39,7 +39,7 @@ class CellTable:
 
 
 def _face_curve(inside: list[bool], first: int, second: int) -> int:
-    """Return 2·face + curve of the one face on which two edges lie."""
+    """Return 4·face + 2·curve of the one face on which two edges lie, + 1 where the first is the curve's second end."""
     corners = [CORNERS[c] for edge in (first, second) for c in EDGE_CORNERS[edge]]
     ((axis, side),) = [(a, int(corners[0][a])) for a in range(3) if len({int(corner[a]) for corner in corners}) == 1]
     u, v = (a for a in range(3) if a != axis)
@@ -48,7 +48,14 @@ def _face_curve(inside: list[bool], first: int, second: int) -> int:
     # The corner that both edges meet at; on an ambiguous face it is inside.
     common = {tuple(c) for c in CORNERS[EDGE_CORNERS[first]]} & {tuple(c) for c in CORNERS[EDGE_CORNERS[second]]}
     curve = int(next(iter(common))[v]) if ambiguous else 0
-    return 2 * (2 * axis + side) + curve
+    ends = [_face_edge(edge, u, v) for edge in (first, second)]
+    return 4 * (2 * axis + side) + 2 * curve + int(ends[0] > ends[1])
+
+
+def _face_edge(edge: int, u: int, v: int) -> int:
+    """Return which of a face's edges an edge of the cell is."""
+    low = CORNERS[EDGE_CORNERS[edge, 0]]
+    return int(low[v]) if edge // 4 == u else 2 + int(low[u])
 
 
 @cache

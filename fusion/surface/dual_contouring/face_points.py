@@ -26,6 +26,8 @@ _SHALLOW = wp.constant(0.02)
 """Below this t the tangents are taken to meet at 2·t, as those of any shallow arc do."""
 _TOLERANCE = wp.constant(1.0e-3)
 _MOST_QUESTIONS = wp.constant(12)
+_BEYOND = wp.constant(1.0)
+"""Voxels: so far a curve's apex may lie outside its face."""
 _SHORTEST = wp.constant(1.0e-3)
 
 
@@ -114,22 +116,9 @@ def way_out(point: wp.vec2, way: wp.vec2) -> float:
 
 
 @wp.func
-def apex(left: float, right: float, length: float, height: float) -> wp.vec2:
-    """Return a wedge's apex: how far along ab from m, and from ab.
-
-    ``length`` is that of ab; halfway up to ``height``, where the middle line leaves the wedge, the wedge reaches
-    ``left`` towards a and ``right`` towards b.
-    """
-    from_a = 0.5 * length - left
-    from_b = 0.5 * length - right
-    narrowing = from_a + from_b
-    if narrowing <= 0.25 * length:
-        # No wedge reaches farther than twice the height of its middle line.
-        return wp.vec2(0.0, 2.0 * height)
-    up = 0.5 * length / narrowing  # of the apex, in heights
-    if up < 1.0:
-        return wp.vec2(0.0, height)
-    return wp.vec2(2.0 * up * from_a - 0.5 * length, up * height)
+def both(point: wp.vec2) -> wp.vec4:
+    """Return a point twice."""
+    return wp.vec4(point[0], point[1], point[0], point[1])
 
 
 @cache
@@ -192,37 +181,40 @@ def face_kernel(value: Any, state_type: Any) -> Kernel:
     @wp.func
     def curve_point(
         state: state_type, number: int, origin: wp.vec3, axis: int, a: wp.vec2, b: wp.vec2, outside: wp.vec2
-    ) -> wp.vec2:
-        """Return the point P of the curve from a to b, or what stands for it where the curve is no wedge."""
+    ) -> wp.vec4:
+        """Return where the curve from a to b leads to from a, and where from b."""
         m = 0.5 * (a + b)
         length = wp.length(b - a)
         if length < _SHORTEST:
-            return m
+            return both(m)
         tangent = (b - a) / length
         way = wp.vec2(-tangent[1], tangent[0])
         if wp.dot(way, outside - m) < 0.0:
             way = -way
         at_m = ask(state, number, origin, axis, m)
         if not is_known(at_m) or wp.abs(at_m) < _FLAT:
-            return m
+            return both(m)
         if at_m > 0.0:
             way = -way
-        t = search(state, number, origin, axis, m, way, at_m, 1.3 * wp.abs(at_m) + 0.01, way_out(m, way))
+        t = search(state, number, origin, axis, m, way, at_m, 1.3 * wp.abs(at_m) + 0.01, way_out(m, way) + _BEYOND)
         if t < 0.0:
-            return m
+            return both(m)
         if t < _SHALLOW:
-            return m + 2.0 * t * way
+            return both(m + 2.0 * t * way)
         halfway = m + 0.5 * t * way
         at_halfway = ask(state, number, origin, axis, halfway)
         if not is_known(at_halfway) or (at_halfway < 0.0) != (at_m < 0.0):
-            return m + t * way
+            return both(m + t * way)
         reach = 0.5 * length
-        left = search(state, number, origin, axis, halfway, -tangent, at_halfway, reach, reach)
-        right = search(state, number, origin, axis, halfway, tangent, at_halfway, reach, reach)
-        if left < 0.0 or right < 0.0:
-            return m + t * way
-        found = apex(left, right, length, t)
-        return m + found[0] * tangent + found[1] * way
+        left = search(state, number, origin, axis, halfway, -tangent, at_halfway, reach, 3.0 * reach)
+        right = search(state, number, origin, axis, halfway, tangent, at_halfway, reach, 3.0 * reach)
+        g = m + t * way
+        h = g
+        if left >= 0.0:
+            g = halfway - left * tangent
+        if right >= 0.0:
+            h = halfway + right * tangent
+        return wp.vec4(g[0], g[1], h[0], h[1])
 
     @wp.kernel(module="unique", enable_backward=False, module_options={"max_unroll": 1})
     def search_faces(
@@ -231,7 +223,7 @@ def face_kernel(value: Any, state_type: Any) -> Kernel:
         blocks: wp.array(dtype=wp.vec3i),
         along: wp.array(dtype=float),
         state: state_type,
-        points: wp.array(dtype=wp.vec2),
+        points: wp.array(dtype=wp.vec4),
     ) -> None:
         layer = wp.tid() + first
         curve = grid.curve_starts[layer][0]
@@ -283,7 +275,7 @@ def face_points(volume: Volume, grid: DualGrid, counts: Counts, oracle: Oracle, 
 
     It may lie outside the face: it tells where the surface leads to from the face's edges.
     """
-    points = wp.empty(counts.curves, dtype=wp.vec2, device=volume.device)
+    points = wp.empty(counts.curves, dtype=wp.vec4, device=volume.device)
     launch_in_slabs(
         face_kernel(oracle.value, oracle.state_type),
         dim=len(grid.cells.starts) - 1,

@@ -46,6 +46,18 @@ def is_in_hull(point: wp.vec2, pattern: int, ends: wp.vec2i) -> bool:
 
 
 @wp.func
+def meeting_point(a: wp.vec2, b: wp.vec2, leads: wp.vec4) -> wp.vec2:
+    """Return where the lines from a curve's ends meet: its 2-D point."""
+    from_a = wp.vec2(leads[0], leads[1]) - a
+    from_b = wp.vec2(leads[2], leads[3]) - b
+    turn = from_a[0] * from_b[1] - from_a[1] * from_b[0]
+    if wp.abs(turn) < 1.0e-6:
+        return 0.5 * (a + b)
+    across = b - a
+    return a + (across[0] * from_b[1] - across[1] * from_b[0]) / turn * from_a
+
+
+@wp.func
 def edge_in_cell(axis: int, edge: int, beyond: bool) -> int:
     """Return which edge of a cell a face's edge is, for the face across ``axis`` at its low or, ``beyond``, high side.
 
@@ -83,7 +95,7 @@ def _place_pins(
     blocks: wp.array(dtype=wp.vec3i),
     voxel_size: float,
     along: wp.array(dtype=float),
-    curve_points: wp.array(dtype=wp.vec2),
+    curve_points: wp.array(dtype=wp.vec4),
     cell_colors: wp.array(dtype=wp.vec3ub),
     cell_normals: wp.array(dtype=wp.vec3),
     points: wp.array(dtype=wp.vec3),
@@ -110,7 +122,7 @@ def _place_pins(
                     b = point_on_edge(ends[1], along[edge_number_on_face(grid, slot, voxel, axis, ends[1])])
                     point = 0.5 * (a + b)
                     if curve_points.shape[0] > 0:
-                        found = curve_points[curve_number(grid, layer, axis, bit) + curve]
+                        found = meeting_point(a, b, curve_points[curve_number(grid, layer, axis, bit) + curve])
                         if is_in_hull(found, pattern, ends):
                             point = found
                     place = wp.vec3(float(corner[0] + voxel[0]), float(corner[1] + voxel[1]), float(corner[2] + voxel[2]))
@@ -144,7 +156,7 @@ def place_pins(
     if counts.pins == 0:
         return pins
     if curve_points is None:
-        curve_points = wp.empty(0, dtype=wp.vec2, device=device)
+        curve_points = wp.empty(0, dtype=wp.vec4, device=device)
     launch_in_slabs(
         _place_pins,
         dim=len(grid.cells.starts) - 1,
