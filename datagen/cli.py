@@ -4,10 +4,10 @@ import argparse
 import sys
 from collections.abc import Sequence
 
-from datagen.commands import convert, info, render, sensor
+from datagen.commands import convert, info, preview, render, sensor
 from datagen.errors import InputError, WorkerError
 
-COMMANDS = (render, info, sensor, convert)
+COMMANDS = (render, info, sensor, convert, preview)
 
 EXIT_FAILURE = 1
 EXIT_INPUT_ERROR = 2
