@@ -4,7 +4,7 @@ Only objects whose bounding box the camera comes near are looked at closely, thr
 hierarchy of their evaluated triangles, so that a path around an object costs nothing.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Sequence, Set
 
 import bpy
 import numpy as np
@@ -14,11 +14,14 @@ from numpy.typing import NDArray
 
 from datagen.camera import PinholeCamera
 from datagen.errors import InputError
-from datagen.scene_spec.trajectory_settings import ShellTrajectory, Trajectory
+from datagen.scene_spec.trajectory_settings import Trajectory
+from datagen.trajectory.camera_path import Way
 from datagen.trajectory.path_faults import Box, Fault, default_subjects, describe_faults, view_faults
 from datagen.trajectory.viewing import on_a_sphere
 
 Array = NDArray[np.float64]
+Leg = tuple[int, Array, Array]
+"""A step of the camera's way: the frame that it leads to, where it begins and where it ends."""
 
 SURFACES = ("MESH", "CURVE", "SURFACE", "FONT", "META")
 INSIDE_RAYS = 16
@@ -30,10 +33,18 @@ STEP_PAST_HIT = 2e-6
 are in single precision."""
 
 
-def check_path(path: Array, settings: Trajectory, camera: PinholeCamera, *, clip_range: tuple[float, float]) -> None:
+def check_path(
+    path: Array,
+    way: Way | None,
+    settings: Trajectory,
+    camera: PinholeCamera,
+    *,
+    clip_range: tuple[float, float],
+) -> None:
     """Raise InputError naming the frames in which the camera enters or touches an object, or loses its subject.
 
-    ``path`` is world_from_camera (N, 4, 4). Objects are taken as they stand at Blender's current frame.
+    ``path`` is world_from_camera (N, 4, 4), ``way`` how it gets from frame to frame, where that is known. Objects are
+    taken as they stand at Blender's current frame.
     """
     boxes = [box for _, box in _surfaces()]
     missing = sorted(set(settings.subject) - {box.name for box in boxes})
@@ -41,18 +52,18 @@ def check_path(path: Array, settings: Trajectory, camera: PinholeCamera, *, clip
         there = ", ".join(sorted({box.name for box in boxes})) or "none"
         raise InputError(f"trajectory.subject: no object {missing[0]!r}; there are: {there}")
     clearance = settings.clearance if settings.clearance is not None else _near_corner(camera, clip_range[0])
-    rooms = _box_of_all([box for box in boxes if box.name in settings.subject] or default_subjects(boxes, path))
+    seen = _range_of_all([box for box in boxes if box.name in settings.subject] or default_subjects(boxes, path))
     faults = []
     for instance, box in _surfaces():
-        near, crossing = _close_frames(path[:, :3, 3], box.range_world, clearance)
-        if isinstance(settings, ShellTrajectory):
-            crossing = crossing[:0]  # from one random view to the next nothing moves
-        if len(near) or len(crossing):
+        (low, high), positions = box.range_world, path[:, :3, 3]
+        near = np.flatnonzero(((positions >= low - clearance) & (positions <= high + clearance)).all(axis=1))
+        legs = _legs_near(way, low, high) if way is not None else []
+        if len(near) or legs:
             tree = _tree(instance)
-            is_room = rooms is not None and bool(
-                (box.range_world[0] <= rooms[0]).all() and (box.range_world[1] >= rooms[1]).all()
-            )
-            faults += _faults_at(path[:, :3, 3], tree, box, near, crossing, clearance=clearance, may_be_room=is_room)
+            is_around = seen is not None and bool(((low <= seen[0]) & (high >= seen[1])).all())
+            found = _frame_faults(tree, box.name, positions, near, clearance=clearance, is_around=is_around)
+            entered = {frame for fault in found for frame in fault.frames}
+            faults += [*found, *_way_faults(tree, box.name, legs, entered)]
     faults += view_faults(boxes, path, camera, clip_range, subject=settings.subject, min_in_view=settings.min_in_view)
     if faults:
         raise InputError(describe_faults(faults))
@@ -79,20 +90,18 @@ def _near_corner(camera: PinholeCamera, clip_start: float) -> float:
     return float(clip_start * np.sqrt(1 + x * x + y * y))
 
 
-def _box_of_all(boxes: Sequence[Box]) -> Array | None:
+def _range_of_all(boxes: Sequence[Box]) -> Array | None:
     if not boxes:
         return None
     ranges = np.stack([box.range_world for box in boxes])
     return np.stack([ranges[:, 0].min(axis=0), ranges[:, 1].max(axis=0)])
 
 
-def _close_frames(positions: Array, box_range: Array, clearance: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the frames in or near a box, and those whose way from the frame before may lead through it."""
-    low, high = box_range[0] - clearance, box_range[1] + clearance
-    near = ((positions >= low) & (positions <= high)).all(axis=1)
-    before, after = positions[:-1], positions[1:]
+def _legs_near(way: Way, low: Array, high: Array) -> list[Leg]:
+    """Return those steps of the way that may lead through a box."""
+    before, after = way.positions_world[:-1], way.positions_world[1:]
     meets = ((np.minimum(before, after) <= high) & (np.maximum(before, after) >= low)).all(axis=1)
-    return np.flatnonzero(near), np.flatnonzero(meets) + 1
+    return [(int(np.ceil(way.frames[i + 1])), before[i], after[i]) for i in np.flatnonzero(meets)]
 
 
 def _tree(instance: bpy.types.DepsgraphObjectInstance) -> BVHTree:
@@ -108,38 +117,32 @@ def _tree(instance: bpy.types.DepsgraphObjectInstance) -> BVHTree:
     return BVHTree.FromPolygons(vertices_world.tolist(), triangles.tolist(), all_triangles=True)
 
 
-def _faults_at(
-    positions: Array,
-    tree: BVHTree,
-    box: Box,
-    near: NDArray[np.intp],
-    crossing: NDArray[np.intp],
-    *,
-    clearance: float,
-    may_be_room: bool,
+def _frame_faults(
+    tree: BVHTree, name: str, positions: Array, near: NDArray[np.intp], *, clearance: float, is_around: bool
 ) -> list[Fault]:
-    """Return in which frames the camera is inside an object, too near to it, or came through its surface."""
+    """Return in which of the frames ``near`` an object the camera is inside it, or too close to it."""
     inside = [int(i) for i in near if _is_inside(tree, positions[i])]
-    if may_be_room and len(inside) == len(positions):
+    if is_around and len(inside) == len(positions):
         inside = []  # a room or a sky around the whole scene
     distances = {int(i): _distance(tree, positions[i], clearance) for i in near if int(i) not in set(inside)}
     touching = [i for i, distance in distances.items() if distance < clearance]
-    known = {*inside, *touching}
-    through = [
-        int(i)
-        for i in crossing
-        if not {int(i), int(i) - 1} & known and _is_crossed(tree, positions[i - 1], positions[i])
-    ]
     faults = []
     if inside:
-        faults.append(Fault(frames=tuple(inside), what=f"the camera is inside {box.name!r}"))
+        faults.append(Fault(frames=tuple(inside), what=f"the camera is inside {name!r}"))
     if touching:
         nearest = min(distances[i] for i in touching)
-        what = f"the camera is {nearest:.3g} m from {box.name!r}, at least {clearance:.3g} m is needed"
+        what = f"the camera is {nearest:.3g} m from {name!r}, at least {clearance:.3g} m is needed"
         faults.append(Fault(frames=tuple(touching), what=what))
-    if through:
-        faults.append(Fault(frames=tuple(through), what=f"on the way there the camera passes through {box.name!r}"))
     return faults
+
+
+def _way_faults(tree: BVHTree, name: str, legs: Sequence[Leg], entered: Set[int]) -> list[Fault]:
+    """Return on the way to which frames the camera passes through an object, where neither end is at fault itself."""
+    through = {
+        frame for frame, start, end in legs if not {frame - 1, frame} & entered and _is_crossed(tree, start, end)
+    }
+    what = f"on the way there the camera passes through {name!r}"
+    return [Fault(frames=tuple(sorted(through)), what=what)] if through else []
 
 
 def _distance(tree: BVHTree, position: Array, most: float) -> float:

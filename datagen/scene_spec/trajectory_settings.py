@@ -12,7 +12,7 @@ Elevation = Annotated[float, Field(ge=-90, le=90)]
 
 
 def _one_or_many(value: Any) -> Any:
-    return (value,) if isinstance(value, str) else value
+    return (value,) if isinstance(value, str) else tuple(value) if isinstance(value, list) else value
 
 
 class ShakeSettings(Spec):

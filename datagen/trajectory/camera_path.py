@@ -1,5 +1,8 @@
 """Where the camera is in each frame, whatever the kind of trajectory: the one place that knows."""
 
+import math
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,10 +17,13 @@ from datagen.scene_spec.trajectory_settings import (
     ShellTrajectory,
     Trajectory,
 )
-from datagen.trajectory.generated_paths import hemisphere, orbit, shell
+from datagen.trajectory.generated_paths import hemisphere, orbit, shell, turns_of
 from datagen.trajectory.keyframe_path import keyframe_path
 from datagen.trajectory.recorded_path import recorded_path
 from datagen.trajectory.shake import shaken
+
+SMALL_STEPS = 500
+"""Into so many at least the way between frames is cut, on which it is not to pass through things."""
 
 
 def camera_path(settings: Trajectory, frames: int, frames_per_second: float, seed: int) -> NDArray[np.float64]:
@@ -37,6 +43,35 @@ def scene_camera_path(scene: Scene) -> NDArray[np.float64]:
     """Return the camera's path (N, 4, 4) in ``scene`` as it will be rendered. Raises as ``camera_path`` does."""
     render = scene.render
     return camera_path(scene.camera_motion, render.frames, render.frames_per_second, render.seed)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Way:
+    """The camera's way from frame to frame: ``positions_world`` (M, 3) and the ``frames`` (M,), with fractions."""
+
+    positions_world: NDArray[np.float64]
+    frames: NDArray[np.float64]
+
+
+def way_between_frames(settings: Trajectory, frames: int, frames_per_second: float, seed: int) -> Way | None:
+    """Return the way that the camera takes between frames, in steps that are small also where frames are few.
+
+    None where there is no such way: random views do not follow each other, and of the camera of a .blend and of a
+    recording taken as it is only the frames are known.
+    """
+    if isinstance(settings, ShellTrajectory | BlendCameraTrajectory):
+        return None
+    if isinstance(settings, RecordedTrajectory) and settings.timing == "as-is":
+        path = camera_path(settings, frames, frames_per_second, seed)
+        return Way(positions_world=path[:, :3, 3], frames=np.arange(frames, dtype=np.float64))
+    parts = max(1, math.ceil(SMALL_STEPS / frames))
+    if isinstance(settings, HemisphereTrajectory):
+        settings = settings.model_copy(update={"turns": turns_of(settings, frames)})
+        at = (np.arange(frames * parts) + 0.5) / parts - 0.5
+    else:
+        at = np.arange((frames - 1) * parts + 1) / parts
+    path = camera_path(settings, len(at), frames_per_second * parts, seed)
+    return Way(positions_world=path[:, :3, 3], frames=at)
 
 
 def _steady_path(settings: Trajectory, frames: int, frames_per_second: float, seed: int) -> NDArray[np.float64]:

@@ -32,11 +32,17 @@ def hemisphere(settings: HemisphereTrajectory, frames: int) -> Array:
     first, last = np.radians(settings.elevation_deg)
     heights = np.sin(first) + (np.sin(last) - np.sin(first)) * (np.arange(frames) + 0.5) / frames
     elevation = np.arcsin(np.clip(heights, -1, 1))
-    turns = settings.turns or abs(last - first) / spacing(settings, frames)
+    turns = turns_of(settings, frames)
     azimuth = _azimuth(settings.start_angle_deg, settings.direction, turns * (elevation - first) / (last - first))
     return look_at_each(
         on_a_sphere(settings.center, settings.radius, azimuth, heights), settings.look_at or settings.center
     )
+
+
+def turns_of(settings: HemisphereTrajectory, frames: int) -> float:
+    """Return the number of turns of a spiral: as given, or so many that one rises by the spacing of the frames."""
+    first, last = np.radians(settings.elevation_deg)
+    return settings.turns or float(abs(last - first) / spacing(settings, frames))
 
 
 def spacing(settings: HemisphereTrajectory, frames: int) -> float:
