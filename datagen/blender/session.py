@@ -20,6 +20,7 @@ from datagen.dataset_format import GROUND_TRUTH_FILE
 from datagen.errors import InputError
 from datagen.rigid import Matrix
 from datagen.scene_spec.scene import Scene
+from datagen.trajectory.camera_path import way_between_frames
 from datagen.trajectory.speed_limits import require_within_limits
 
 
@@ -55,7 +56,8 @@ class RenderSession:
         motion, render, camera = self.spec.camera_motion, self.spec.render, self.spec.camera
         require_within_limits(motion, self.path, frames_per_second=render.frames_per_second, seed=render.seed)
         if motion.check:
-            check_path(self.path, motion, self.camera, clip_range=(camera.clip_start, camera.clip_end))
+            way = way_between_frames(motion, render.frames, render.frames_per_second, render.seed)
+            check_path(self.path, way, motion, self.camera, clip_range=(camera.clip_start, camera.clip_end))
 
     def description(self) -> dict[str, Any]:
         """Return what the dataset's metadata needs to know from Blender, ready for JSON."""
