@@ -143,6 +143,7 @@ class ShellTrajectory(TrajectoryBase):
 class RecordedTrajectory(TrajectoryBase):
     """A path from a ``file``: TUM (``t tx ty tz qx qy qz qw``), Open3D's ``.log``, or a folder of 4×4 pose files.
 
+    Its path is relative to the scene file; ``sha256`` identifies its content, reading the scene fills it in.
     ``timing`` "fit" stretches the recording over the frames, "real-time" plays it at the frame rate, both interpolating
     position and rotation between its poses, and "as-is" takes a pose a frame. The recording's world is scaled, turned
     about x, then y, then z, and moved into the scene's.
@@ -150,6 +151,7 @@ class RecordedTrajectory(TrajectoryBase):
 
     type: Literal["recorded"]
     file: Annotated[str, Field(min_length=1)]
+    sha256: str | None = None
     timing: Literal["fit", "real-time", "as-is"] = "fit"
     location: Vector = (0.0, 0.0, 0.0)
     rotation_deg: Vector = (0.0, 0.0, 0.0)

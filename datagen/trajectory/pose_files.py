@@ -1,7 +1,9 @@
 """Recorded camera paths: TUM files, Open3D's ``.log`` files, and folders of 4×4 pose files."""
 
+import hashlib
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +42,29 @@ def read_recording(path: Path) -> Recording:
     return _read_open3d_log(path) if path.suffix == ".log" else _read_tum(path)
 
 
+def locate_recording(content: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Return a scene file's ``content`` with a recorded trajectory's path made absolute, and its SHA-256 set.
+
+    ``folder`` is the scene file's. Raises InputError where the recording cannot be read, or is not the one that a
+    given ``sha256`` identifies.
+    """
+    trajectory = content.get("trajectory")
+    if not isinstance(trajectory, dict) or not isinstance(trajectory.get("file"), str):
+        return content
+    path = (folder / Path(trajectory["file"]).expanduser()).resolve()
+    files = _pose_files(path) if path.is_dir() else [path]
+    try:
+        found = hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
+    except OSError as error:
+        raise InputError(f"{error.filename}: cannot be read ({error.strerror}); name a recorded path") from error
+    expected = trajectory.get("sha256")
+    if expected is not None and expected != found:
+        raise InputError(
+            f"{path}: its SHA-256 is {found}, but trajectory.sha256 says {expected}; restore it, or drop the sha256"
+        )
+    return content | {"trajectory": trajectory | {"file": str(path), "sha256": found}}
+
+
 def _read_tum(path: Path) -> Recording:
     times: list[float] = []
     matrices = []
@@ -72,10 +97,16 @@ def _matrix_row(row: Row) -> NDArray[np.float64]:
     return row.numbers(row.fields, "a row of a pose's 4×4 matrix")
 
 
-def _read_pose_folder(folder: Path) -> Recording:
-    found: list[Path] = []
+def _pose_files(folder: Path) -> list[Path]:
     for pattern in POSE_FILE_PATTERNS:
-        found = found or sorted(folder.glob(pattern), key=lambda path: natural_order(path.name))
+        found = sorted(folder.glob(pattern), key=lambda path: natural_order(path.name))
+        if found:
+            return found
+    return []
+
+
+def _read_pose_folder(folder: Path) -> Recording:
+    found = _pose_files(folder)
     times = np.array(frame_numbers([path.name for path in found]), dtype=np.float64)
     return _recording(folder, times, [read_pose(path) for path in found], is_timed=False)
 

@@ -4,8 +4,9 @@ from scipy.spatial.transform import Rotation
 
 from datagen.errors import InputError
 from datagen.rigid import inverse, rotation_angle_deg
+from datagen.scene_spec.scene_files import read_scene
 from datagen.scene_spec.trajectory_settings import RecordedTrajectory
-from datagen.trajectory.camera_path import camera_path
+from datagen.trajectory.camera_path import camera_path, scene_camera_path
 from datagen.trajectory.pose_files import read_recording
 from datagen.trajectory.recorded_path import interpolate_poses
 
@@ -156,3 +157,38 @@ def test_an_unusable_file_is_named_with_its_line(tmp_path, tum_file, log_file, p
         read_recording(tmp_path / "empty")
     with pytest.raises(InputError, match=r"nowhere.txt: the file is missing"):
         read_recording(tmp_path / "nowhere.txt")
+
+
+SCENE = """
+name = "test"
+[materials.clay]
+color = "#ff8000"
+[[objects]]
+name = "Ball"
+shape = "sphere"
+material = "clay"
+[trajectory]
+type = "recorded"
+file = "FILE"
+"""
+
+
+@pytest.mark.parametrize("name", ["groundtruth.txt", "dataset"])
+def test_a_recording_lies_beside_its_scene_file_and_is_known_by_its_content(tmp_path, tum_file, pose_folder, name):
+    def read(folder, text):
+        (folder / "scene.toml").write_text(text)
+        return read_scene(folder / "scene.toml")
+
+    scene = read(tmp_path, SCENE.replace("FILE", name))
+    assert scene.trajectory.file == str(tmp_path / name)
+    assert scene_camera_path(scene).shape == (60, 4, 4)
+    (tmp_path / "elsewhere").mkdir()
+    moved = read(tmp_path / "elsewhere", SCENE.replace("FILE", f"../{name}"))
+    assert moved.trajectory.sha256 == scene.trajectory.sha256
+    changed = tum_file if name == "groundtruth.txt" else pose_folder / "frames" / "frame-000003.pose.txt"
+    changed.write_text(changed.read_text() + "\n")
+    assert read(tmp_path, SCENE.replace("FILE", name)).trajectory.sha256 != scene.trajectory.sha256
+    with pytest.raises(InputError, match=f"{name}: its SHA-256 is .*restore it, or drop the sha256"):
+        read(tmp_path, SCENE.replace("FILE", name) + f'sha256 = "{scene.trajectory.sha256}"')
+    with pytest.raises(InputError, match=r"nowhere.log: cannot be read .*name a recorded path"):
+        read(tmp_path, SCENE.replace("FILE", "nowhere.log"))
