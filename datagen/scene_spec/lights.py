@@ -4,7 +4,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from datagen.scene_spec.base import Color, NotNegative, Positive, Spec, Vector
+from datagen.scene_spec.base import Color, Fraction, NotNegative, Positive, Spec, Vector
 
 DEFAULT_LIGHT_SIZE = 0.1
 DEFAULT_SUN_ANGLE_DEG = 0.5
@@ -40,8 +40,18 @@ class LightSettings(Spec):
         return self
 
 
+class SkySettings(Spec):
+    """A painted sky: the world's colour overhead, ``horizon`` and ``ground``, and ``clouds`` from none to all over."""
+
+    horizon: Color = (0.85, 0.89, 0.93)
+    ground: Color = (0.45, 0.43, 0.40)
+    clouds: Fraction = 0.3
+    seed: int = Field(default=0, ge=0)
+
+
 class WorldSettings(Spec):
-    """The background, which lights the scene from all sides."""
+    """The background, which lights the scene from all sides: one colour, or a ``sky``."""
 
     color: Color = (0.8, 0.8, 0.8)
     strength: NotNegative = 1.0
+    sky: SkySettings | None = None

@@ -10,8 +10,13 @@ from pydantic import ValidationError
 
 from datagen.errors import InputError
 from datagen.pydantic_errors import describe_validation_error
+from datagen.scene_spec.measured_model import measure_model
+from datagen.scene_spec.model_files import locate_models
+from datagen.scene_spec.model_scene import own_camera, scene_of_model
+from datagen.scene_spec.objects import MODEL_SUFFIXES
 from datagen.scene_spec.render_settings import RenderSettings
 from datagen.scene_spec.scene import Scene
+from datagen.trajectory.pose_files import locate_recording
 
 SUFFIX = ".toml"
 
@@ -32,11 +37,13 @@ def shipped_scenes() -> list[str]:
 
 
 def load_scene(name_or_path: str) -> Scene:
-    """Read a scene that comes with the program, by its name, or any other by its path.
+    """Read a scene that comes with the program, by its name, or any other by its path; or put a model on a stage.
 
     Raises InputError where there is no such scene, and for every fault in it.
     """
     path = Path(name_or_path)
+    if path.suffix.lower() in MODEL_SUFFIXES:
+        return _validated(path, scene_of_model(path), folder=Path())
     if path.suffix == SUFFIX or path.parent != Path():
         return read_scene(path)
     shipped = scenes_folder() / f"{name_or_path}{SUFFIX}"
@@ -46,7 +53,7 @@ def load_scene(name_or_path: str) -> Scene:
         meant = f"did you mean {close[0]}? " if close else ""
         raise InputError(
             f"{name_or_path}: no scene of this name; {meant}there are: {', '.join(names)}; "
-            f"or name a scene file, ending in {SUFFIX}"
+            f"or name a scene file, ending in {SUFFIX}, or a model: {', '.join(MODEL_SUFFIXES)}"
         )
     return read_scene(shipped)
 
@@ -60,9 +67,31 @@ def read_scene(path: Path) -> Scene:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: not valid TOML: {error}") from error
+    return _validated(path, _with_own_camera(content, path.parent), folder=path.parent)
+
+
+def _with_own_camera(content: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Return the content with a .blend's own camera where it says nothing of a camera's motion, or asks for that."""
+    blend, trajectory = content.get("blend"), content.get("trajectory")
+    if not isinstance(blend, dict) or not isinstance(blend.get("file"), str) or "keyframes" in content:
+        return content
+    if trajectory is not None and not (isinstance(trajectory, dict) and trajectory.get("type") == "blend-camera"):
+        return content
+    path = (folder / Path(blend["file"]).expanduser()).resolve()
+    measured = measure_model(path)
+    if measured.camera is None:
+        raise InputError(f"{path}: has no camera; set its active camera, or give keyframes or a trajectory")
+    own = own_camera(measured)
+    # What the scene file says itself stands.
+    tables = {key: own[key] | content.get(key, {}) for key in ("render", "trajectory")}
+    return own | content | tables
+
+
+def _validated(path: Path, content: dict[str, Any], *, folder: Path) -> Scene:
     try:
         # Through JSON, because a strict model takes a JSON array for a tuple but not a Python list.
-        return Scene.model_validate_json(json.dumps(content, default=str))
+        located = locate_recording(locate_models(content, folder), folder)
+        return Scene.model_validate_json(json.dumps(located, default=str))
     except ValidationError as error:
         raise InputError(describe_validation_error(path, error, Scene)) from error
 

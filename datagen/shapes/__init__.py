@@ -1,0 +1,1 @@
+"""Closed surfaces in metres, made of numbers alone, without Blender."""
