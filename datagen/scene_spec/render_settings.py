@@ -22,10 +22,10 @@ PRESETS: MappingProxyType[str, dict[str, Any]] = MappingProxyType(
 class RenderSettings(Spec):
     """How many frames, how large and how carefully.
 
-    ``samples`` is Cycles' samples a pixel and ``seed`` decides their noise; ``depth_scale`` is metres per step of the
-    16-bit depth images, so 65534 steps must reach the farthest surface; ``bounces`` limits light paths; ``denoise``
-    runs OpenImageDenoise in its fast mode on the colours, never on depth. ``layers`` are written beside colour and
-    depth: geometric normals, object masks, optical flow to the next frame.
+    ``samples`` is Cycles' samples a pixel; ``seed`` decides all that is random: their noise, random views and shake;
+    ``depth_scale`` is metres per step of the 16-bit depth images, so 65534 steps must reach the farthest surface;
+    ``bounces`` limits light paths; ``denoise`` runs OpenImageDenoise in its fast mode on the colours, never on depth.
+    ``layers`` are written beside colour and depth: geometric normals, object masks, optical flow to the next frame.
     """
 
     frames: int = Field(default=60, ge=1, le=1_000_000)
