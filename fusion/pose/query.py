@@ -1,0 +1,132 @@
+"""A view whose pose is asked for, and its depth as points."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from datagen.camera import PinholeCamera
+from datagen.errors import InputError
+from fusion.devices import Device
+
+MOST_POINTS = 8000
+"""Of a query's pixels that are compared with the model."""
+
+_NOISE_BINS = 8
+_LEAST_PIXELS_A_BIN = 30
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Query:
+    """What is known of the view.
+
+    ``depth`` (height, width) float32 planar metres, 0 = invalid; ``color`` (height, width, 3) uint8 RGB; ``mask``
+    (height, width) bool, True where the object is. Raises InputError for images that are not of the camera's size.
+    """
+
+    camera: PinholeCamera
+    depth: NDArray[np.float32] | None = None
+    color: NDArray[np.uint8] | None = None
+    mask: NDArray[np.bool_] | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse images of another size."""
+        for name in ("depth", "color", "mask"):
+            image = getattr(self, name)
+            if image is not None and image.shape[:2] != (self.camera.height, self.camera.width):
+                raise InputError(
+                    f"query: its {name} has {image.shape[1]}×{image.shape[0]} pixels, its camera"
+                    f" {self.camera.width}×{self.camera.height}; give images of one size"
+                )
+
+    def valid_depth(self) -> NDArray[np.float32]:
+        """Return depth with 0 wherever it is not finite, not positive, or outside the mask.
+
+        Raises InputError where the query has no depth.
+        """
+        if self.depth is None:
+            raise InputError("query: has no depth image; refine it by its silhouette")
+        depth = np.where(np.isfinite(self.depth) & (self.depth > 0), self.depth, 0).astype(np.float32)
+        return depth if self.mask is None else np.where(self.mask, depth, 0).astype(np.float32)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class QueryCloud:
+    """A query's depth as points in the camera frame, on a device.
+
+    ``points`` (n,) vec3; each beginning of the list is spread evenly over the image. ``sigmas`` (n,) is the noise of
+    their depth, metres, as the image itself shows it. ``count`` is n.
+    """
+
+    points: wp.array
+    sigmas: wp.array
+    sigma_median: float
+    points_camera: NDArray[np.float64]
+
+    @property
+    def count(self) -> int:
+        """The number of points."""
+        return len(self.points_camera)
+
+
+def query_cloud(query: Query, *, device: Device, most: int = MOST_POINTS) -> QueryCloud:
+    """Return up to ``most`` of a query's points on a device."""
+    depth = query.valid_depth()
+    v, u = np.nonzero(depth)
+    # A rank-1 lattice: the pixels below any bound of this rank are spread evenly (Roberts' R2 sequence).
+    rank = (u * 0.7548776662466927 + v * 0.5698402909980532) % 1
+    chosen = _least(rank, most)
+    u, v = u[chosen], v[chosen]
+    z = depth[v, u].astype(np.float64)
+    camera = query.camera
+    points = np.stack([(u - camera.cx) / camera.fx * z, (v - camera.cy) / camera.fy * z, z], axis=-1)
+    sigmas = depth_noise(depth)(z)
+    return QueryCloud(
+        points=wp.array(points.astype(np.float32), dtype=wp.vec3, device=device),
+        sigmas=wp.array(sigmas.astype(np.float32), dtype=float, device=device),
+        sigma_median=float(np.median(sigmas)) if len(sigmas) else 0.0,
+        points_camera=points,
+    )
+
+
+def _least(rank: NDArray[np.float64], count: int) -> NDArray[np.int64]:
+    """Return the indices of the ``count`` least, in ascending order of rank."""
+    some = np.argpartition(rank, count)[:count] if count < len(rank) else np.arange(len(rank))
+    return some[np.argsort(rank[some])]
+
+
+@dataclass(frozen=True)
+class DepthNoise:
+    """The standard deviation of depth, σ(z) = ``constant`` + ``quadratic`` · z², metres."""
+
+    constant: float
+    quadratic: float
+
+    def __call__(self, depth: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Return σ at depths of any shape."""
+        return self.constant + self.quadratic * np.asarray(depth, dtype=np.float64) ** 2
+
+
+def depth_noise(depth: NDArray[np.float32]) -> DepthNoise:
+    """Tell the noise of a depth image (height, width), 0 = invalid, from itself.
+
+    On a surface, depth along a row has next to no second difference; that of independent noise is √6 σ wide. Its median
+    size, in bins of depth, is robust to edges. Smooth noise, alike in neighbouring pixels, is not seen.
+    """
+    left, middle, right = depth[:, :-2], depth[:, 1:-1], depth[:, 2:]
+    valid = (left > 0) & (middle > 0) & (right > 0)
+    if valid.sum() < _LEAST_PIXELS_A_BIN:
+        return DepthNoise(0.0, 0.0)
+    # Inverse depth is linear across a plane's pixels.
+    z = middle[valid].astype(np.float64)
+    bend = z**2 * (1 / left[valid].astype(np.float64) - 2 / z + 1 / right[valid].astype(np.float64))
+    order = np.argsort(z)
+    bins = [part for part in np.array_split(order, _NOISE_BINS) if len(part) >= _LEAST_PIXELS_A_BIN]
+    bins = bins or [order]
+    sigmas = np.array([1.4826 * np.median(np.abs(bend[part])) / 6**0.5 for part in bins])
+    squares = np.array([np.median(z[part]) ** 2 for part in bins])
+    spread = squares - squares.mean()
+    quadratic = float((spread @ sigmas) / (spread @ spread)) if len(bins) > 2 and np.ptp(squares) > 0.1 else 0.0
+    quadratic = min(max(quadratic, 0.0), float((sigmas / squares).min()))
+    return DepthNoise(float((sigmas - quadratic * squares).mean()), quadratic)

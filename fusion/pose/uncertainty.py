@@ -1,0 +1,84 @@
+"""How well a refined pose is known, and in which directions it is not."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+WEAK_RATIO = 10.0
+"""A direction is weak where the pose is this much less certain along it than along the median one."""
+
+_AXES = ("x", "y", "z")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Uncertainty:
+    """The spread of a pose about the true one.
+
+    ``covariance`` (6, 6) is that of the twist (v, ω) with true = S exp(ξ) S⁻¹ · found, v in metres and ω in radians
+    along the world's axes, S the translation to ``pivot_world``. ``deviations_m`` (6,) ascending, are standard
+    deviations along the principal directions, as the motion of a point at ``radius_m`` from the pivot; ``directions``
+    (6, 6) are these in rows, (v, ω · radius) of length 1. ``weak`` names in words those that are not fixed.
+    """
+
+    covariance: NDArray[np.float64]
+    pivot_world: NDArray[np.float64]
+    radius_m: float
+    deviations_m: NDArray[np.float64]
+    directions: NDArray[np.float64]
+    weak: tuple[str, ...]
+
+    @property
+    def condition(self) -> float:
+        """Of the information matrix, in units of motion: the square of greatest over least deviation."""
+        return float((self.deviations_m[-1] / self.deviations_m[0]) ** 2)
+
+
+def uncertainty(
+    hessian: NDArray[np.float64], *, sigma: float, pivot_world: NDArray[np.float64], radius_m: float
+) -> Uncertainty:
+    """Return what the normal equations JᵀWJ (6, 6) of residuals with standard deviation ``sigma`` say.
+
+    Covariance = σ² (JᵀWJ)⁻¹, for independent residuals; neighbouring pixels share some of theirs, so it is a lower
+    bound. A direction that no residual fixes has an infinite deviation in truth, and a very large one here.
+    """
+    scale = np.array([1, 1, 1, 1 / radius_m, 1 / radius_m, 1 / radius_m])
+    information = scale[:, None] * hessian * scale
+    values, vectors = np.linalg.eigh(information)
+    values = np.maximum(values, 1e-12 * max(values[-1], 1e-300))
+    covariance = (vectors / values) @ vectors.T * sigma**2
+    order = np.argsort(-values)
+    deviations = sigma / np.sqrt(values[order])
+    directions = vectors.T[order]
+    weak = tuple(
+        describe_direction(direction)
+        for direction, deviation in zip(directions, deviations, strict=True)
+        if deviation > WEAK_RATIO * float(np.sqrt(deviations[2] * deviations[3]))
+    )
+    return Uncertainty(
+        covariance=scale[:, None] * covariance * scale,
+        pivot_world=pivot_world,
+        radius_m=radius_m,
+        deviations_m=deviations,
+        directions=directions,
+        weak=weak,
+    )
+
+
+def describe_direction(direction: NDArray[np.float64]) -> str:
+    """Name a direction (v, ω · radius) in words: what moves, and along or about which axis of the world."""
+    shift, turn = np.linalg.norm(direction[:3]), np.linalg.norm(direction[3:])
+    if turn > 3 * shift:
+        return f"turning about {_axis(direction[3:])}"
+    if shift > 3 * turn:
+        return f"sliding along {_axis(direction[:3])}"
+    return f"sliding along {_axis(direction[:3])} while turning about {_axis(direction[3:])}"
+
+
+def _axis(vector: NDArray[np.float64]) -> str:
+    unit = vector / np.linalg.norm(vector)
+    largest = int(np.argmax(np.abs(unit)))
+    if abs(unit[largest]) > 0.98:
+        return f"the world's {_AXES[largest]}"
+    unit = unit * np.sign(unit[largest])
+    return "(" + ", ".join(f"{value:.2f}" for value in unit) + ")"
