@@ -4,10 +4,10 @@ import argparse
 import sys
 from collections.abc import Sequence
 
-from datagen.commands import convert, info, preview, render, sensor
+from datagen.commands import convert, info, merge, pointcloud, preview, render, sensor, verify, validate
 from datagen.errors import InputError, WorkerError
 
-COMMANDS = (render, info, sensor, convert, preview)
+COMMANDS = (render, info, sensor, convert, verify, merge, pointcloud, validate, preview)
 
 EXIT_FAILURE = 1
 EXIT_INPUT_ERROR = 2
@@ -18,7 +18,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code."""
     options = _parser().parse_args(arguments)
     try:
-        options.run(options)
+        return options.run(options) or 0
     except InputError as error:
         print(f"datagen: error: {error}", file=sys.stderr)
         return EXIT_INPUT_ERROR
@@ -28,7 +28,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("datagen: interrupted; what is finished is kept, and the same command goes on there", file=sys.stderr)
         return EXIT_INTERRUPTED
-    return 0
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -15,6 +15,9 @@ from datagen.blender.render import configure_render, read_channels, render_exr
 from datagen.rigid import Matrix
 from datagen.scene_spec.render_settings import RenderSettings
 
+SAME_DEPTH = np.float32(1e-3)
+"""Both scenes give the same bits, but depth may have been made more precise since."""
+
 
 def add_geometry_scene(scene: bpy.types.Scene, settings: RenderSettings, *, threads: int) -> bpy.types.Scene:
     """Return a scene with the objects and the camera of ``scene``, whose surfaces show their normals."""
@@ -52,7 +55,7 @@ def read_normals(exr: Path, *, depth: NDArray[np.float32], world_from_camera: Ma
     halved = np.stack([ends[f"Combined.{band}"] for band in "RGB"], axis=-1)
     normals = (halved * np.float32(2) - np.float32(1)) @ world_from_camera[:3, :3].astype(np.float32)
     lengths = np.linalg.norm(normals, axis=-1, keepdims=True)
-    seen = (depth > 0) & (ends["Depth.Z"] == depth)
+    seen = (depth > 0) & (np.abs(ends["Depth.Z"] - depth) <= SAME_DEPTH * depth)
     return np.where(seen[..., None], normals / np.maximum(lengths, np.float32(1e-9)), np.float32(0))
 
 

@@ -20,6 +20,7 @@ from datagen.dataset_format import GROUND_TRUTH_FILE
 from datagen.errors import InputError
 from datagen.rigid import Matrix
 from datagen.scene_spec.scene import Scene
+from datagen.thin_triangles import find_thin_triangles
 from datagen.trajectory.camera_path import way_between_frames
 from datagen.trajectory.speed_limits import require_within_limits
 
@@ -47,8 +48,15 @@ class RenderSession:
         wanted, baseline = spec.render.layers, spec.camera.stereo_baseline
         self._right_camera = add_right_camera(self.scene, baseline) if baseline is not None else None
         self._geometry = add_geometry_scene(self.scene, spec.render, threads=threads) if "normals" in wanted else None
-        if "flow" in wanted:
-            self._require_static_objects()
+        moving = self._moving_objects()
+        if moving and "flow" in wanted:
+            raise InputError(
+                f"[render] layers: flow is that of a scene in which only the camera moves, but {', '.join(moving[:3])} "
+                "moves too; leave flow out"
+            )
+        mesh = evaluated_mesh()
+        thin = find_thin_triangles(mesh.vertices_world, mesh.triangles)
+        self._thin_triangles = thin[:0] if moving else thin
         self.scene.frame_set(0)
 
     def check_path(self) -> None:
@@ -100,7 +108,7 @@ class RenderSession:
 
     def write(self, folder: Path, shot: Shot) -> None:
         """Write the files of a rendered frame into the dataset ``folder``; may run beside ``render`` in a thread."""
-        write_shot(folder, shot, spec=self.spec, camera=self.camera)
+        write_shot(folder, shot, spec=self.spec, camera=self.camera, thin_triangles=self._thin_triangles)
 
     def write_ground_truth(self, folder: Path) -> None:
         """Write the mesh of the whole scene into the dataset ``folder``."""
@@ -110,15 +118,11 @@ class RenderSession:
         self.scene.frame_set(frame)
         return read_pose(self.scene)
 
-    def _require_static_objects(self) -> None:
+    def _moving_objects(self) -> list[str]:
+        """Return the names of visible objects that are not where they were, at the first, middle or last frame."""
         last = self.spec.render.frames - 1
-        placed = [self._placed_objects(frame) for frame in sorted({0, last // 2, last})]
-        moving = sorted(name for name in placed[0] if any(not _same(placed[0], other, name) for other in placed[1:]))
-        if moving:
-            raise InputError(
-                f"[render] layers: flow is that of a scene in which only the camera moves, but {', '.join(moving[:3])} "
-                "moves too; leave flow out"
-            )
+        first, *later = [self._placed_objects(frame) for frame in sorted({0, last // 2, last})]
+        return sorted(name for name in first if any(not _same(first, other, name) for other in later))
 
     def _placed_objects(self, frame: int) -> dict[str, Any]:
         self.scene.frame_set(frame)

@@ -3,9 +3,10 @@
 Nothing here touches Blender, so that it runs in a thread while Blender renders the next frame.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
 from numpy.typing import NDArray
 
 from datagen.blender.geometry_pass import read_normals
@@ -17,6 +18,7 @@ from datagen.optical_flow import optical_flow
 from datagen.rigid import Matrix
 from datagen.scene_spec.scene import Scene
 from datagen.sensors.extra_layers import extra_layers
+from datagen.thin_triangles import refine_depth
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,11 +36,22 @@ class Shot:
     world_from_next: Matrix | None
 
 
-def write_shot(folder: Path, shot: Shot, *, spec: Scene, camera: PinholeCamera) -> None:
-    """Write a frame's files into the dataset ``folder``, the pose last; the shot's own files are deleted."""
-    clip_end = spec.camera.clip_end
-    rendered = read_frame(shot.image, world_from_camera=shot.world_from_camera, clip_end=clip_end)
+def write_shot(
+    folder: Path, shot: Shot, *, spec: Scene, camera: PinholeCamera, thin_triangles: NDArray[np.float64]
+) -> None:
+    """Write a frame's files into the dataset ``folder``, the pose last; the shot's own files are deleted.
+
+    ``thin_triangles`` (K, 3, 3) are those whose depth single precision cannot hold.
+    """
+    rendered = _read_exact(shot.image, shot.world_from_camera, spec, camera, thin_triangles)
     layers = _layers(shot, rendered, spec=spec, camera=camera)
+    if shot.right_image is not None:
+        assert spec.camera.stereo_baseline is not None
+        left_from_right = np.eye(4)
+        left_from_right[0, 3] = spec.camera.stereo_baseline
+        world_from_right = shot.world_from_camera @ left_from_right
+        right = _read_exact(shot.right_image, world_from_right, spec, camera, thin_triangles)
+        layers |= {"right_color": right.color, "right_depth": right.depth}
     write_frame(
         folder / FRAMES_FOLDER,
         shot.frame,
@@ -50,8 +63,18 @@ def write_shot(folder: Path, shot: Shot, *, spec: Scene, camera: PinholeCamera) 
     )
 
 
+def _read_exact(
+    exr: Path, world_from_camera: Matrix, spec: Scene, camera: PinholeCamera, thin_triangles: NDArray[np.float64]
+) -> RenderedFrame:
+    rendered = read_frame(exr, world_from_camera=world_from_camera, clip_end=spec.camera.clip_end)
+    if not len(thin_triangles):
+        return rendered
+    depth = refine_depth(rendered.depth, camera, world_from_camera=world_from_camera, corners_world=thin_triangles)
+    return replace(rendered, depth=depth)
+
+
 def _layers(shot: Shot, rendered: RenderedFrame, *, spec: Scene, camera: PinholeCamera) -> dict[str, NDArray]:
-    """Return the images of all layers that ``layers_of`` the scene names."""
+    """Return the images of all layers that ``layers_of`` the scene names, but for the right camera's."""
     layers: dict[str, NDArray] = {}
     depth, pose = rendered.depth, shot.world_from_camera
     if shot.normals is not None:
@@ -60,7 +83,4 @@ def _layers(shot: Shot, rendered: RenderedFrame, *, spec: Scene, camera: Pinhole
         layers["masks"] = rendered.object_index
     if "flow" in spec.render.layers:
         layers["flow"] = optical_flow(depth, camera, world_from_camera=pose, world_from_next=shot.world_from_next)
-    if shot.right_image is not None:
-        right = read_frame(shot.right_image, world_from_camera=pose, clip_end=spec.camera.clip_end)
-        layers |= {"right_color": right.color, "right_depth": right.depth}
     return layers | extra_layers(spec, shot.frame, rendered.color, depth, camera)

@@ -1,6 +1,7 @@
 """Types of command-line arguments that several commands take."""
 
 import argparse
+import math
 import re
 
 
@@ -17,3 +18,19 @@ def positive(text: str) -> int:
     if not text.isdecimal() or int(text) < 1:
         raise argparse.ArgumentTypeError(f"{text!r} is no count; expected a whole number from 1")
     return int(text)
+
+
+def positive_length(text: str) -> float:
+    """Return a length in metres that is greater than 0."""
+    try:
+        length = float(text)
+    except ValueError:
+        length = math.nan
+    if not 0 < length < math.inf:
+        raise argparse.ArgumentTypeError(f"{text!r} is no length; expected metres, for example 0.01")
+    return length
+
+
+def layer_names(text: str) -> list[str]:
+    """Return the names in ``A,B``."""
+    return [name for name in text.split(",") if name]

@@ -1,18 +1,20 @@
 """One render at a time in a folder, or several of different frames."""
 
 import contextlib
+import importlib
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from datagen.atomic_write import require_writable
 from datagen.errors import InputError
 
 try:
-    import fcntl
+    fcntl: Any = importlib.import_module("fcntl")
 except ImportError:  # Windows: two renders in one folder are not noticed there
-    fcntl = None  # type: ignore[assignment]
+    fcntl = None
 
 LOCK_FILE = ".rendering.lock"
 

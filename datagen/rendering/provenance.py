@@ -20,29 +20,28 @@ from datagen.dataset_format import (
     write_metadata,
 )
 from datagen.errors import InputError
+from datagen.rendering.recipes import recipe_of
 from datagen.scene_spec.scene import Scene
 from datagen.scene_spec.scene_layers import layers_of
+from datagen.sensors.extra_layers import distortion_of, sensor_of
 
-IRRELEVANT_TO_FRAMES = {"description"}
 MUST_AGREE = ("blender", "blender_build", "device")
 LARGEST_INTRINSICS_CHANGE_PX = 1e-4
 """Datasets of earlier versions have intrinsics that went through Blender's single precision."""
 
 
-def recipe_of(scene: Scene) -> dict[str, Any]:
-    """Return all that decides what a dataset's frames show, ready for JSON."""
-    return scene.model_dump(mode="json", exclude=IRRELEVANT_TO_FRAMES)
-
-
 def metadata_of(scene: Scene, description: dict[str, Any]) -> Metadata:
     """Return the metadata of frames that ``scene`` renders to where Blender gives ``description`` of itself."""
+    intrinsics = Intrinsics(**description["intrinsics"])
     return Metadata(
         frame_count=scene.render.frames,
-        intrinsics=Intrinsics(**description["intrinsics"]),
+        intrinsics=intrinsics,
         depth_scale=scene.render.depth_scale,
         frames_per_second=scene.render.frames_per_second,
         layers=layers_of(scene),
         ground_truth_mesh=GROUND_TRUTH_FILE,
+        sensor=sensor_of(scene),
+        distortion=distortion_of(intrinsics.camera, scene.lens) if scene.lens is not None else None,
         recipe=recipe_of(scene),
         provenance={
             "program": f"scanback {_version()}",

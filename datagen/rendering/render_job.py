@@ -1,12 +1,8 @@
 """Rendering a scene into a dataset folder, or the rest of it where a part is there already."""
 
-import json
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
-
-from pydantic import ValidationError
 
 from datagen.atomic_write import TEMPORARY_PREFIX, remove_unfinished
 from datagen.dataset import Dataset
@@ -17,7 +13,8 @@ from datagen.progress import ProgressReporter, silent
 from datagen.rendering.crew import render_workers
 from datagen.rendering.folder_lock import LOCK_FILE, Claim, claiming
 from datagen.rendering.frame_files import damaged_file, frame_files, is_complete
-from datagen.rendering.provenance import recipe_of, settle_metadata
+from datagen.rendering.provenance import settle_metadata
+from datagen.rendering.recipes import first_difference, recipe_of, with_defaults
 from datagen.rendering.render_workers import FRAMES_PER_WORKER, Job, Task
 from datagen.rendering.scratch import remove_abandoned_scratch
 from datagen.rendering.shards import Shard
@@ -85,7 +82,7 @@ def _require_own_folder(folder: Path, scene: Scene) -> None:
         raise InputError(f"{folder}: a file, not a folder; name a new or empty folder for the dataset")
     if (folder / METADATA_FILE).is_file():
         existing = read_metadata(folder)
-        difference = _first_difference(_with_defaults(existing.recipe), recipe_of(scene))
+        difference = first_difference(with_defaults(existing.recipe), recipe_of(scene))
         if difference is not None:
             key, there, wanted = difference
             raise InputError(
@@ -100,26 +97,6 @@ def _require_own_folder(folder: Path, scene: Scene) -> None:
                 f"{folder}: holds files that are no dataset of ours ({', '.join(foreign[:3])}); "
                 "name a new or empty folder"
             )
-
-
-def _with_defaults(recipe: dict[str, Any]) -> dict[str, Any]:
-    """Return a stored recipe with the settings that came into being after it, where it is one of ours at all."""
-    try:
-        return recipe_of(Scene.model_validate_json(json.dumps(recipe)))
-    except ValidationError:
-        return recipe
-
-
-def _first_difference(there: Any, wanted: Any, key: str = "") -> tuple[str, Any, Any] | None:
-    """Return the key at which two recipes first differ, and what each has there (None: nothing)."""
-    if isinstance(there, dict) and isinstance(wanted, dict):
-        pairs = [(f"{key}.{name}".lstrip("."), name) for name in dict.fromkeys([*wanted, *there])]
-        found = (_first_difference(there.get(name), wanted.get(name), path) for path, name in pairs)
-    elif isinstance(there, list) and isinstance(wanted, list) and len(there) == len(wanted):
-        found = (_first_difference(a, b, f"{key}[{i}]") for i, (a, b) in enumerate(zip(there, wanted, strict=True)))
-    else:
-        return None if there == wanted else (key, there, wanted)
-    return next((difference for difference in found if difference is not None), None)
 
 
 def _missing(folder: Path, scene: Scene, frames: range, tell: Callable[[str], None]) -> list[Task]:

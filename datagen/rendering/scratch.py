@@ -1,6 +1,7 @@
 """Folders in memory through which images come, and the removal of those whose processes are dead."""
 
 import contextlib
+import importlib
 import os
 import shutil
 import tempfile
@@ -8,11 +9,12 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 try:
-    import fcntl
+    fcntl: Any = importlib.import_module("fcntl")
 except ImportError:  # Windows has neither these locks nor a folder in memory
-    fcntl = None  # type: ignore[assignment]
+    fcntl = None
 
 MEMORY_FOLDER = Path("/dev/shm")  # noqa: S108 - only subfolders of its own, made by tempfile, are used
 PREFIX = "scanback-"

@@ -243,7 +243,7 @@ def perform(session, task):
     if task["frame"] == 1:
         print("the last words", file=sys.stderr, flush=True)
         {end}
-    real(session, task)
+    return real(session, task)
 worker._perform = perform
 """
 

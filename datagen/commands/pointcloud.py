@@ -1,0 +1,34 @@
+"""``datagen pointcloud``: a dataset's coloured points."""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from datagen.commands.arguments import positive_length
+from datagen.frame_selection import select_frames
+from datagen.open_dataset import open_dataset
+from datagen.point_cloud import dataset_points, write_point_cloud
+from datagen.progress import on_terminal
+
+
+def add_command(commands: Any) -> None:
+    """Add the command to the parser's ``commands``."""
+    parser = commands.add_parser("pointcloud", help="write the coloured points of a dataset as PLY")
+    parser.add_argument("dataset", metavar="DATASET", type=Path, help="a dataset of any format that datagen reads")
+    parser.add_argument("out", metavar="OUT.ply", type=Path, help="the file to write")
+    parser.add_argument("--frames", metavar="START:STOP:STEP", help="a Python slice of the frames (default: all)")
+    parser.add_argument(
+        "--voxel", type=positive_length, metavar="M", help="one mean point for each cube of this side, metres"
+    )
+    parser.set_defaults(run=_run)
+
+
+def _run(options: argparse.Namespace) -> None:
+    dataset = open_dataset(options.dataset)
+    frame_ids = select_frames(dataset.frame_ids, options.frames)
+    dataset.require(frame_ids)
+    with on_terminal() as progress:
+        advance = progress("Reading", len(frame_ids))
+        cloud = dataset_points(dataset, frame_ids, voxel_size=options.voxel, advance=advance)
+    write_point_cloud(options.out, cloud)
+    print(f"{options.out}: {len(cloud.points_world)} points of {len(frame_ids)} frames")

@@ -1,0 +1,47 @@
+"""``datagen verify``: whether a dataset is what its recipe renders."""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from datagen.commands.arguments import positive
+from datagen.commands.render import say
+from datagen.progress import on_terminal
+from datagen.rendering.render_job import DEVICES
+from datagen.rendering.verify import verify_dataset
+
+EXIT_MISMATCH = 1
+
+
+def add_command(commands: Any) -> None:
+    """Add the command to the parser's ``commands``."""
+    parser = commands.add_parser(
+        "verify", help="render random frames of a dataset again and compare; exit code 1 tells"
+    )
+    parser.add_argument("dataset", metavar="DATASET", type=Path, help="a dataset that datagen render made")
+    parser.add_argument("--frames", type=positive, default=5, metavar="N", help="how many frames (default: 5)")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the choice of frames")
+    parser.add_argument("--device", choices=DEVICES, default="auto", help="what Cycles renders on (default: the best)")
+    parser.add_argument("--workers", type=positive, default=1, metavar="N", help="rendering processes (default: 1)")
+    parser.set_defaults(run=_run)
+
+
+def _run(options: argparse.Namespace) -> int:
+    with on_terminal() as progress:
+        verification = verify_dataset(
+            options.dataset,
+            frames=options.frames,
+            rng=np.random.default_rng(options.seed),
+            device=options.device,
+            workers=options.workers,
+            progress=progress,
+            tell=say,
+        )
+    for verdict in verification.verdicts:
+        print(f"frame {verdict.frame}: {'; '.join(verdict.faults) or 'the same'}")
+    maker = "the same version and device" if verification.same_maker else "another version or device"
+    failed = sum(bool(verdict.faults) for verdict in verification.verdicts)
+    print(f"{options.dataset}: {len(verification.verdicts)} frames rendered again by {maker}, {failed} differ")
+    return EXIT_MISMATCH if failed else 0
