@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.camera import PinholeCamera
-from datagen.rigid import Matrix, inverse, transform_points
+from datagen.rigid import Matrix, transform_points
 from datagen.trajectory.frame_ranges import frame_ranges
 
 MOST_FAULTS = 8
@@ -34,8 +34,8 @@ class Box:
     @property
     def range_world(self) -> NDArray[np.float64]:
         """The smallest and the largest coordinates (2, 3) that it reaches."""
-        points = self.points_world
-        return np.stack([points.min(axis=0), points.max(axis=0)])
+        edges, corner = self.world_from_unit[:3, :3], self.world_from_unit[:3, 3]
+        return corner + np.stack([np.minimum(edges, 0).sum(axis=1), np.maximum(edges, 0).sum(axis=1)])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,15 +61,14 @@ def part_in_view(
     box: Box, path: NDArray[np.float64], camera: PinholeCamera, clip_range: tuple[float, float]
 ) -> NDArray[np.float64]:
     """Return for each pose of a path (N, 4, 4) what part of a box' points lies in the image and the clip range."""
-    points, (near, far) = box.points_world, clip_range
-    parts = np.empty(len(path))
-    for i, world_from_camera in enumerate(path):
-        points_camera = transform_points(inverse(world_from_camera), points)
-        points_camera = points_camera[(points_camera[:, 2] >= near) & (points_camera[:, 2] <= far)]
-        u, v = camera.project(points_camera).T
-        inside = (u >= -0.5) & (u <= camera.width - 0.5) & (v >= -0.5) & (v <= camera.height - 0.5)
-        parts[i] = np.count_nonzero(inside) / len(points)
-    return parts
+    near, far = clip_range
+    # The product from the right by a rotation is that by its inverse from the left.
+    points_camera = (box.points_world - path[:, None, :3, 3]) @ path[:, :3, :3]
+    seen = (points_camera[..., 2] >= near) & (points_camera[..., 2] <= far)
+    points_camera[~seen, 2] = 1.0  # so that dividing by it is possible
+    u, v = np.moveaxis(camera.project(points_camera), -1, 0)
+    seen &= (u >= -0.5) & (u <= camera.width - 0.5) & (v >= -0.5) & (v <= camera.height - 0.5)
+    return seen.mean(axis=1)
 
 
 def view_faults(
@@ -88,20 +87,19 @@ def view_faults(
     if not min_in_view:
         return []
     chosen = [box for box in boxes if box.name in subject] if subject else default_subjects(boxes, path)
-    in_view: dict[str, NDArray[np.float64]] = {}
+    together = "" if subject else _listed(sorted({box.name for box in chosen}))
+    names = {box.name: together or repr(box.name) for box in chosen}
+    in_view = {name: np.zeros(len(path)) for name in names.values()}
     for box in chosen:
-        part = part_in_view(box, path, camera, clip_range)
-        in_view[box.name] = np.maximum(part, in_view.get(box.name, 0.0))
-    if not in_view:
-        return []
-    if not subject:
-        in_view = {_listed(sorted(in_view)): np.max(list(in_view.values()), axis=0)}
+        best = in_view[names[box.name]]
+        missed = best < min_in_view
+        best[missed] = np.maximum(best[missed], part_in_view(box, path[missed], camera, clip_range))
     faults = []
     for name, part in in_view.items():
         frames = np.flatnonzero(part < min_in_view)
         if len(frames):
             what = (
-                f"{part[frames].min():.0%} of {name if not subject else repr(name)} is in view, at least "
+                f"{part[frames].min():.0%} of {name} is in view, at least "
                 f"{min_in_view:.0%} is asked for (trajectory.min_in_view)"
             )
             faults.append(Fault(frames=tuple(frames.tolist()), what=what))
@@ -120,7 +118,7 @@ def describe_faults(faults: Sequence[Fault]) -> str:
 
 
 def _listed(names: Sequence[str]) -> str:
-    if len(names) == 1:
-        return repr(names[0])
+    if len(names) <= 1:
+        return "".join(map(repr, names))
     more = f" and {len(names) - 3} more" if len(names) > 3 else ""
     return f"any of {', '.join(map(repr, names[:3]))}{more}"
