@@ -14,8 +14,8 @@ from PIL import Image
 
 from datagen.atomic_write import replacing
 from datagen.camera import PinholeCamera
-from datagen.preview.depth_colors import DepthScale, colored_depth
-from datagen.preview.page import FAINT_INK, Page, fitted
+from datagen.preview.depth_colors import INVALID_COLOR, DepthScale, colored_depth, scale_strip
+from datagen.preview.page import FAINT_INK, PAPER, Page, fitted
 from datagen.preview.source import PreviewSource, evenly
 from datagen.progress import ProgressReporter, silent
 
@@ -23,7 +23,8 @@ VIDEO_PANEL_WIDTH = 560
 GIF_PANEL_WIDTH = 288
 GIF_MOST_FRAMES = 80
 GIF_FRAME_MS = 80
-PALETTE_FRAMES = 6
+PALETTE_FRAMES = 12
+GIF_DEPTH_COLORS = 64
 VIDEO_QUALITY = "20"
 """x264's constant rate factor: 18 is nearly lossless to the eye, 23 its default."""
 
@@ -87,7 +88,7 @@ def write_moving_pictures(
     large = SideBySide(source, scale, _layout(source.dataset.camera, VIDEO_PANEL_WIDTH, margin=16, text_size=15))
     small = SideBySide(source, scale, _layout(source.dataset.camera, GIF_PANEL_WIDTH, margin=8, text_size=11))
     in_gif = set(evenly(source.frame_ids, GIF_MOST_FRAMES))
-    palette = _palette(source, small)
+    palette = _palette(source)
     gif_frames: list[Image.Image] = []
     advance = progress("Video", len(source.frame_ids))
     with replacing(video) as temporary, _encoder(temporary, large, source.frames_per_second) as write:
@@ -95,9 +96,7 @@ def write_moving_pictures(
             color, depth = source.dataset.color(frame_id), source.depth(frame_id)
             write(large.page(frame_id, color, depth).pixels)
             if frame_id in in_gif:
-                gif_frames.append(
-                    small.page(frame_id, color, depth).image.quantize(palette=palette, dither=Image.Dither.NONE)
-                )
+                gif_frames.append(_indexed(small.page(frame_id, color, depth), palette))
             advance()
     with replacing(gif) as temporary:
         gif_frames[0].save(
@@ -116,13 +115,32 @@ def _layout(camera: PinholeCamera, panel_width: int, *, margin: int, text_size: 
     return Layout(panel_width=panel_width, panel_height=height, margin=margin, text_size=text_size)
 
 
-def _palette(source: PreviewSource, pictures: SideBySide) -> Image.Image:
-    """Return 256 colours for all frames of a GIF: nothing flickers, and what stays the same costs no bytes."""
-    sample = [
-        pictures.page(i, source.dataset.color(i), source.depth(i)).pixels[::2, ::2]
-        for i in evenly(source.frame_ids, PALETTE_FRAMES)
-    ]
-    return Image.fromarray(np.concatenate(sample)).quantize(256, method=Image.Quantize.MEDIANCUT)
+def _indexed(page: Page, palette: Image.Image) -> Image.Image:
+    """Return a page in a palette's colours, its paper the palette's first: Pillow's search may miss the nearest."""
+    found = page.image.quantize(palette=palette, dither=Image.Dither.NONE)
+    indices = np.array(found)
+    indices[(page.pixels == PAPER).all(axis=-1)] = 0
+    exact = Image.fromarray(indices)
+    exact.putpalette(palette.getpalette() or [])
+    return exact
+
+
+def _palette(source: PreviewSource) -> Image.Image:
+    """Return 256 colours for all frames of a GIF: nothing flickers, and what stays the same costs no bytes.
+
+    The page, the scale of depth and the shades between them have theirs for certain; the frames' own colours share the
+    rest.
+    """
+    fixed = [PAPER, FAINT_INK, INVALID_COLOR]
+    fixed += [tuple(np.add(PAPER, FAINT_INK) // 2), tuple(np.add(PAPER, np.multiply(FAINT_INK, 3)) // 4)]
+    fixed += [tuple(color) for color in scale_strip(GIF_DEPTH_COLORS, 1)[0]]
+    photographs = [fitted(source.dataset.color(i), 160, 120) for i in evenly(source.frame_ids, PALETTE_FRAMES)]
+    count = 256 - len(fixed)
+    own = Image.fromarray(np.concatenate(photographs)).quantize(count, method=Image.Quantize.MEDIANCUT)
+    colors = np.concatenate([np.array(fixed).ravel(), own.getpalette() or []])
+    palette = Image.new("P", (1, 1))
+    palette.putpalette([int(value) for value in colors])
+    return palette
 
 
 @contextmanager

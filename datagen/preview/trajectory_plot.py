@@ -46,8 +46,8 @@ def write_trajectory_plot(path: Path, source: PreviewSource, *, progress: Progre
     advance()
     figure = Figure(figsize=SIZE_INCHES, dpi=DOTS_PER_INCH, facecolor="white")
     FigureCanvasAgg(figure)
-    axes = figure.add_axes((0.0, 0.10, 0.56, 0.78), projection="3d", computed_zorder=False)
-    above = figure.add_axes((0.605, 0.17, 0.36, 0.67))
+    axes = figure.add_axes((-0.01, 0.10, 0.56, 0.78), projection="3d", computed_zorder=False)
+    above = figure.add_axes((0.625, 0.17, 0.345, 0.66))
     names = ("x", "y", "z") if z_is_up else ("right", "forward", "up")
     chosen = np.searchsorted(source.frame_ids, evenly(source.frame_ids, FRUSTA))
     size = _size(poses, around)
@@ -108,12 +108,14 @@ def _draw_in_space(
         getattr(axes, f"set_{name}lim")(start, end)
         getattr(axes, f"set_{name}label")(f"{label} (m)", color=FAINT_INK, labelpad=8)
         axis = getattr(axes, f"{name}axis")
-        axis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10], prune="both"))
+        ticks = MaxNLocator(5, steps=[1, 2, 5, 10]).tick_values(start, end)
+        margin = 0.06 * (end - start)  # in the corners the numbers of two axes would meet
+        axis.set_ticks([tick for tick in ticks if start + margin <= tick <= end - margin])
         axis.set_pane_color((1.0, 1.0, 1.0, 1.0))
         axis.line.set_color(RULE)
         axis._axinfo["grid"].update(color=RULE, linewidth=0.6)
     axes.tick_params(colors=FAINT_INK, labelsize=9, pad=2)
-    axes.set_box_aspect(high - low, zoom=1.12)
+    axes.set_box_aspect(high - low, zoom=1.06)
     axes.view_init(elev=24, azim=-58)
 
 
@@ -163,7 +165,7 @@ def _segments(positions: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDAr
 def _mark_ends(axes: Any, positions: NDArray[np.float64]) -> None:
     """Mark the first position by a disc and the last by a square, as the legend says."""
     # The disc is the larger, so that it shows where a path ends at its start.
-    for position, marker, time, area in ((positions[0], "o", 0.0, 190), (positions[-1], "s", 1.0, 60)):
+    for position, marker, time, area in ((positions[0], "o", 0.0, 140), (positions[-1], "s", 1.0, 45)):
         axes.scatter(
             *position[:, None],
             marker=marker,
