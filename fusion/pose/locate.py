@@ -12,7 +12,8 @@ from datagen.frame_selection import select_frames
 from datagen.progress import ProgressReporter, silent
 from datagen.rigid import Matrix, inverse, rigid, rotation_angle_deg
 from fusion.devices import load_kernels, resolve_device
-from fusion.pose.nearest_pose import find_nearest_pose, view_surface
+from fusion.pose.nearest_pose import find_nearest_pose
+from fusion.pose.view_index import index_views
 from fusion.reconstruction_files import (
     POSES_FILE,
     RECORD_FILE,
@@ -29,7 +30,6 @@ KERNEL_MODULES = (
     "fusion.volume.block_table",
     "fusion.surface.cells",
     "fusion.surface.marching_cubes",
-    "fusion.pose.nearest_pose",
     "fusion.surface.mesh_ray_casting",
 )
 
@@ -66,7 +66,7 @@ def locate(
         for frame in record.trajectory
     ]
     surface = marching_cubes(load_volume(folder / VOLUME_FILE, device=target))
-    views = view_surface(surface, candidates, dataset.camera, device=target)
+    views = index_views(surface, candidates, dataset.camera, device=target)
     poses: list[LocatedPose] = []
     failures: dict[int, str] = {}
     advance = progress("locate", len(queries))
@@ -83,7 +83,7 @@ def locate(
                 LocatedPose(
                     query=query,
                     nearest=record.trajectory[nearest.index].frame,
-                    score=float(nearest.scores[nearest.index]),
+                    score=float(nearest.scores[0]),
                     world_from_camera=pose.tolist(),
                     **_errors(pose, dataset, query),
                 )

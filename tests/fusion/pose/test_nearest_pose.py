@@ -6,8 +6,10 @@ from datagen.camera import PinholeCamera
 from datagen.errors import InputError
 from datagen.rigid import look_at
 from fusion.pose.locate import pose_error
-from fusion.pose.nearest_pose import find_nearest_pose, view_surface
+from fusion.pose.nearest_pose import find_nearest_pose, pose_distances
+from fusion.pose.view_index import index_views
 from fusion.surface.mesh import Mesh
+from fusion.surface.mesh_ray_casting import cast_rays_at_mesh
 
 CAMERA = PinholeCamera(width=160, height=120, fx=160.0, fy=160.0, cx=79.5, cy=59.5)
 
@@ -29,51 +31,100 @@ def poses_on_a_circle(count):
     return [look_at((np.cos(a), np.sin(a), 0.6 + 0.1 * np.sin(3 * a)), (0, 0, 0)) for a in angles]
 
 
-def test_the_model_is_seen_at_pixel_centres_in_planar_depth(device):
-    # A plane z = 2.5 before a camera at the origin has depth 2.5 at every pixel, whatever the ray's length.
-    plane = Mesh(
-        vertices=np.array([[-9, -9, 2.5], [9, -9, 2.5], [9, 9, 2.5], [-9, 9, 2.5]], np.float32),
-        triangles=np.array([[0, 1, 2], [0, 2, 3]], np.int32),
-    )
-    views = view_surface(plane, [np.eye(4)], CAMERA, device=device)
-    np.testing.assert_allclose(views.depth.numpy(), 2.5, rtol=1e-6)
-    # Its edge falls where the projection has it, to the pixel.
-    half = Mesh(vertices=plane.vertices - np.array([9, 0, 0], np.float32), triangles=plane.triangles)
-    seen = view_surface(half, [np.eye(4)], CAMERA, device=device).depth.numpy()[0] > 0
-    columns = np.arange(0, CAMERA.width, views.step)
-    np.testing.assert_array_equal(seen[0], columns <= CAMERA.cx)
+def seen_from(surface, pose, device, camera=CAMERA):
+    return cast_rays_at_mesh(surface, camera, [pose], device=device, depth_only=True).depth.numpy()[0]
 
 
 def test_a_fused_view_is_nearest_to_itself(device, surface):
     poses = poses_on_a_circle(24)
-    views = view_surface(surface, poses, CAMERA, device=device)
-    full = view_surface(
-        surface, poses, PinholeCamera(width=80, height=60, fx=80, fy=80, cx=39.75, cy=29.75), device=device
-    )
-    for index in range(len(poses)):
-        depth = np.repeat(np.repeat(full.depth.numpy()[index], views.step, 0), views.step, 1)
-        nearest = find_nearest_pose(views, depth)
-        assert nearest.index == index
-        assert nearest.scores[index] < 1e-9
+    index = index_views(surface, poses, CAMERA, device=device)
+    for number, pose in enumerate(poses):
+        nearest = find_nearest_pose(index, seen_from(surface, pose, device))
+        assert nearest.index == number
+        assert nearest.scores[0] < 1e-9
+        assert nearest.scores[0] == nearest.scores.min()
+        rotation_deg, translation_m = pose_error(nearest.estimate, pose)
+        assert rotation_deg < 0.05
+        assert translation_m < 0.001
 
 
 def test_a_view_between_two_is_nearest_to_the_closer(device, surface):
     poses = poses_on_a_circle(120)
-    fused = poses[::10]
-    views = view_surface(surface, fused, CAMERA, device=device)
+    index = index_views(surface, poses[::10], CAMERA, device=device)
     for query in range(120):
-        offset = query % 10
-        if 3 < offset < 7:
-            continue  # nearly as close to one as to the other
-        small = view_surface(surface, [poses[query]], CAMERA, device=device).depth.numpy()[0]
-        nearest = find_nearest_pose(views, np.repeat(np.repeat(small, views.step, 0), views.step, 1))
+        if query % 10 == 5:
+            continue  # as close to one as to the other
+        nearest = find_nearest_pose(index, seen_from(surface, poses[query], device))
         assert nearest.index == (query + 5) // 10 % 12, query
+        assert set(nearest.indices[:2]) == {query // 10, (query // 10 + 1) % 12} or query % 10 == 0
+
+
+def test_a_view_off_the_path_rolled_and_aimed_elsewhere_is_found(device, surface):
+    rng = np.random.default_rng(3)
+    poses = poses_on_a_circle(36)
+    index = index_views(surface, poses, CAMERA, device=device)
+    for _ in range(20):
+        angle, height, reach = rng.uniform(0, 2 * np.pi), rng.uniform(0.3, 0.9), rng.uniform(0.9, 1.2)
+        pose = look_at((reach * np.cos(angle), reach * np.sin(angle), height), rng.normal(scale=0.08, size=3))
+        pose = pose @ trimesh.transformations.rotation_matrix(rng.normal(scale=0.1), (0, 0, 1))
+        depth = seen_from(surface, pose, device)
+        if (depth[[0, -1]] > 0).any() or (depth[:, [0, -1]] > 0).any():
+            continue  # cut off by the image's edge
+        distances = pose_distances(np.stack(poses), pose, depth=float(np.median(depth[depth > 0])))
+        nearest = find_nearest_pose(index, depth)
+        assert distances[nearest.index] <= 1.1 * distances.min()
+        assert not nearest.ambiguous
+
+
+def test_noise_and_missing_pixels_leave_the_nearest_what_it_is(device, surface):
+    rng = np.random.default_rng(5)
+    poses = poses_on_a_circle(60)
+    index = index_views(surface, poses[::5], CAMERA, device=device)
+    for query in range(1, 60, 5):
+        depth = seen_from(surface, poses[query], device)
+        noisy = np.where(depth > 0, depth + rng.normal(scale=0.004, size=depth.shape), 0)
+        noisy[rng.random(depth.shape) < 0.2] = 0
+        assert find_nearest_pose(index, noisy.astype(np.float32)).index == query // 5
+
+
+def test_what_the_mask_leaves_out_may_hide_the_model(device, surface):
+    poses = poses_on_a_circle(24)
+    index = index_views(surface, poses, CAMERA, device=device)
+    for number in range(0, 24, 3):
+        depth = seen_from(surface, poses[number], device)
+        columns = np.nonzero((depth > 0).any(axis=0))[0]
+        mask = np.ones(depth.shape, bool)
+        mask[:, : columns[0] + (columns[-1] - columns[0]) * 3 // 10] = False  # a hand before the left 30 %
+        depth[~mask] = 0.3
+        assert find_nearest_pose(index, depth, mask=mask).index == number
+
+
+def test_an_object_that_looks_alike_from_two_sides_is_said_to(device):
+    box = trimesh.creation.box((0.5, 0.3, 0.2))
+    mesh = Mesh(vertices=np.asarray(box.vertices, np.float32), triangles=np.asarray(box.faces, np.int32))
+    poses = poses_on_a_circle(24)
+    index = index_views(mesh, poses, CAMERA, device=device)
+    nearest = find_nearest_pose(index, seen_from(mesh, look_at((0.9, 0.5, 0.7), (0, 0, 0)), device))
+    assert nearest.ambiguous
+    assert nearest.margin < 0.1
+
+
+def test_distances_between_poses_are_angles_and_shifts_at_depth():
+    pose = look_at((0, -2, 0), (0, 0, 0))
+    turned = pose @ trimesh.transformations.rotation_matrix(np.radians(170), (0.3, 0.5, 0.8))
+    shifted = pose.copy()
+    shifted[:3, 3] += (0.3, 0, 0.4)
+    distances = pose_distances(np.stack([pose, turned, shifted]), pose, depth=2.0)
+    np.testing.assert_allclose(distances, [0, np.radians(170), 0.25], atol=1e-12)
 
 
 def test_a_query_without_depth_is_an_error(device, surface):
-    views = view_surface(surface, poses_on_a_circle(3), CAMERA, device=device)
+    index = index_views(surface, poses_on_a_circle(3), CAMERA, device=device)
     with pytest.raises(InputError, match="no pixel has a valid depth"):
-        find_nearest_pose(views, np.zeros((120, 160), np.float32))
+        find_nearest_pose(index, np.zeros((120, 160), np.float32))
+    depth = seen_from(surface, poses_on_a_circle(3)[0], device)
+    with pytest.raises(InputError, match="no pixel inside the mask has a valid depth"):
+        find_nearest_pose(index, depth, mask=depth == 0)
 
 
 def test_pose_errors_are_an_angle_and_a_distance():
