@@ -20,10 +20,15 @@ def open_dataset(folder: Path) -> Dataset:
     for dataset_format in FORMATS:
         if dataset_format.detect(folder):
             return dataset_format.open(folder)
-    sequences = sorted(path.parent.name for path in folder.glob("seq-*/frame-000000.*.txt"))
-    if sequences:
-        raise InputError(
-            f"{folder}: holds the sequences {', '.join(sequences)}; name one of them, {folder / sequences[0]}"
-        )
+    below = _datasets_below(folder)
+    if below:
+        names = ", ".join(path.relative_to(folder).as_posix() for path in below[:3])
+        raise InputError(f"{folder}: not a dataset, but holds some: {names}; name one of them, for example {below[0]}")
     known = ", ".join(dataset_format.title for dataset_format in FORMATS)
     raise InputError(f"{folder}: not a dataset: it holds the files of none of the formats that can be read: {known}")
+
+
+def _datasets_below(folder: Path) -> list[Path]:
+    """Return the datasets one or two folders down, where people who name a collection mean one of its recordings."""
+    below = sorted(path for pattern in ("*/", "*/*/") for path in folder.glob(pattern))
+    return [path for path in below if any(dataset_format.detect(path) for dataset_format in FORMATS)]

@@ -160,7 +160,7 @@ def _write_model(mesh: Path, path: Path) -> None:
 
 
 def _advice(conversion: Conversion) -> tuple[str, ...]:
-    if conversion.source.ground_truth_mesh is None:
+    if not (conversion.folder / MODEL_FILE).is_file():
         return ()
     return (f"{MODEL_FILE} is the whole true scene in world coordinates; bop_toolkit makes its models_info.json",)
 

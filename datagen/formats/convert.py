@@ -134,18 +134,22 @@ def _write_images(conversion: Conversion, progress: ProgressReporter) -> None:
 
 
 def _write_frame(frame: OutputFrame, conversion: Conversion) -> None:
-    if frame.color.is_file() and frame.depth.is_file():
-        return
     source = conversion.source
-    path = source.color_file(frame.frame_id)
+    path, place = source.color_file(frame.frame_id), source.depth_file(frame.frame_id)
+    if _is_newer(frame.color, path) and _is_newer(frame.depth, place):
+        return
     color = source.color(frame.frame_id)  # decoded in any case: what is damaged is not copied
     if path.suffix.lower() == frame.color.suffix:
         write_bytes(frame.color, path.read_bytes())
     else:
         write_color(frame.color, color)
     steps = source.depth_steps(frame.frame_id)
-    place = source.depth_file(frame.frame_id)
     write_depth_steps(frame.depth, rescaled(steps, source.depth_scale, conversion.depth_scale, source=str(place)))
+
+
+def _is_newer(written: Path, origin: Path) -> bool:
+    """Tell whether a file is there and was written after its origin; an origin that changed since is taken anew."""
+    return written.is_file() and written.stat().st_mtime_ns >= origin.stat().st_mtime_ns
 
 
 def rescaled(steps: NDArray[np.uint16], from_scale: float, to_scale: float, *, source: str) -> NDArray[np.uint16]:

@@ -114,7 +114,9 @@ def _pinhole(keys: dict[str, Any], *, source: str, size: tuple[int, int]) -> Pin
     def number(key: str, default: float | None = None) -> float:
         return float(numbers(keys.get(key, default), 1, source=f"{source}: {key}")[0])
 
-    width, height = int(number("w", size[0])), int(number("h", size[1]))
+    width, height = number("w", size[0]), number("h", size[1])
+    if width != size[0] or height != size[1]:
+        raise InputError(f"{source}: w, h: found {width:g}, {height:g}, but the depth images are {size[0]}×{size[1]}")
     if "fl_x" in keys:
         fx = number("fl_x")
     elif "camera_angle_x" in keys:
@@ -123,8 +125,8 @@ def _pinhole(keys: dict[str, Any], *, source: str, size: tuple[int, int]) -> Pin
         raise InputError(f"{source}: has neither fl_x nor camera_angle_x; write the focal length in pixels as fl_x")
     try:
         return PinholeCamera.from_corner_origin(
-            width=width,
-            height=height,
+            width=size[0],
+            height=size[1],
             fx=fx,
             fy=number("fl_y", fx),
             cx=number("cx", width / 2),

@@ -110,6 +110,8 @@ def _camera(folder: Path) -> PinholeCamera:
     content: dict[str, Any] = read_json_object(path)
     matrix = numbers(content.get("intrinsic_matrix"), 9, source=f"{path}: intrinsic_matrix")
     width, height = numbers([content.get("width"), content.get("height")], 2, source=f"{path}: width, height")
+    if (width, height) != (int(width), int(height)):
+        raise InputError(f"{path}: width, height: found {width:g}, {height:g}, expected integers")
     # Open3D stores matrices column by column.
     return camera_from_matrix(matrix.reshape(3, 3).T, size=(int(width), int(height)), source=str(path))
 

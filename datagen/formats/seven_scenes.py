@@ -9,7 +9,7 @@ from pathlib import Path
 
 from datagen.camera import PinholeCamera
 from datagen.dataset import Dataset, FrameRecord
-from datagen.dataset_format import frame_file
+from datagen.dataset_format import FRAMES_FOLDER, METADATA_FILE, frame_file
 from datagen.dataset_writer import write_pose
 from datagen.errors import InputError
 from datagen.formats.format import Conversion, DatasetFormat
@@ -28,11 +28,13 @@ def detect(folder: Path) -> bool:
 
 
 def open_seven_scenes(folder: Path) -> Dataset:
-    """Open a sequence. Raises InputError where it has no depth images or an unreadable camera file.
+    """Open a sequence. Raises InputError where it has no depth images, an unreadable camera file, or is part of ours.
 
     The camera is that of ``camera-intrinsics.txt`` (a 3×3 matrix) where there is one, else the data set's nominal one.
     A frame is whatever number any file carries, so that a frame that lacks its pose is reported and not passed over.
     """
+    if folder.name == FRAMES_FOLDER and (folder.parent / METADATA_FILE).is_file():
+        raise InputError(f"{folder}: these are the frames of the dataset {folder.parent}; name that one")
     numbers = {path.name.split(".")[0].removeprefix("frame-") for path in folder.glob("frame-*.*")}
     frame_ids = sorted(int(number) for number in numbers if number.isdecimal())
     depth_images = (path for i in frame_ids if (path := frame_file(folder, i, "depth.png")).is_file())

@@ -44,4 +44,4 @@ def finish(folder: Path) -> None:
     """Take the mark away, and what killed runs left behind."""
     for leftover in folder.rglob(f"{TEMPORARY_PREFIX}*"):
         leftover.unlink(missing_ok=True)
-    (folder / JOB_FILE).unlink()
+    (folder / JOB_FILE).unlink(missing_ok=True)

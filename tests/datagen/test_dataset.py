@@ -151,7 +151,12 @@ def test_metadata_that_was_cut_short_is_refused(folder):
 
 
 def test_a_7_scenes_folder_opens_and_keeps_frames_that_lack_a_pose(folder):
-    frames = folder / "frames"
+    with pytest.raises(InputError, match=r"frames: these are the frames of the dataset .*; name that one"):
+        open_dataset(folder / "frames")
+    frames = (folder / "frames").rename(folder / "seq-01")
+    (folder / "dataset.json").unlink()
+    with pytest.raises(InputError, match=r"not a dataset, but holds some: seq-01; name one of them"):
+        open_dataset(folder)
     (frames / "frame-000002.pose.txt").unlink()
     with pytest.raises(InputError, match=r"camera-intrinsics.txt: the file is missing.*8×6"):
         open_dataset(frames)

@@ -102,6 +102,15 @@ def test_a_damaged_image_is_named_and_after_it_was_mended_the_conversion_goes_on
     assert open_dataset(convert(source, tmp_path / "out", "open3d")).frame_ids == (0, 1, 2, 3, 4)
 
 
+def test_an_image_that_changed_since_is_converted_anew(source, tmp_path, monkeypatch):
+    monkeypatch.setattr(conversion, "finish", lambda _: (_ for _ in ()).throw(KeyboardInterrupt))
+    with pytest.raises(KeyboardInterrupt):
+        convert(source, tmp_path / "out", "bop")
+    monkeypatch.undo()
+    write_depth(source.depth_file(2), np.full((120, 160), 2.5), metres_per_step=0.0001)
+    assert open_dataset(convert(source, tmp_path / "out", "bop")).depth(2)[7, 7] == pytest.approx(2.5)
+
+
 def test_a_frame_without_its_pose_is_named_before_anything_is_written(source, tmp_path):
     (source.folder / "frames" / "frame-000002.pose.txt").unlink()
     with pytest.raises(InputError, match=r"frame-000002.pose.txt: the file is missing"):

@@ -74,6 +74,7 @@ def test_a_frame_may_repeat_the_camera_but_not_change_it(folder):
         ({"camera_model": "OPENCV_FISHEYE"}, {}, r"camera_model: 'OPENCV_FISHEYE' is not a pinhole camera"),
         ({"fl_x": None}, {}, r"transforms.json: has neither fl_x nor camera_angle_x"),
         ({"fl_x": "wide"}, {}, r"transforms.json: fl_x: found 'wide', expected 1 finite number"),
+        ({"w": 320}, {}, r"transforms.json: w, h: found 320, 120, but the depth images are 160×120"),
         ({"fl_x": -5.0}, {}, r"transforms.json: camera: fx -5"),
         ({"depth_unit_scale_factor": 0}, {}, r"depth_unit_scale_factor: found 0, expected metres a step"),
         ({"frames": []}, {}, r"transforms.json: frames: expected a list of objects, at least one"),
