@@ -121,11 +121,11 @@ def _frame_faults(
     tree: BVHTree, name: str, positions: Array, near: NDArray[np.intp], *, clearance: float, is_around: bool
 ) -> list[Fault]:
     """Return in which of the frames ``near`` an object the camera is inside it, or too close to it."""
-    inside = [int(i) for i in near if _is_inside(tree, positions[i])]
-    if is_around and len(inside) == len(positions):
-        inside = []  # a room or a sky around the whole scene
-    distances = {int(i): _distance(tree, positions[i], clearance) for i in near if int(i) not in set(inside)}
+    distances = {int(i): _distance(tree, positions[i], clearance) for i in near}
     touching = [i for i, distance in distances.items() if distance < clearance]
+    inside = [i for i, distance in distances.items() if distance >= clearance and _is_inside(tree, positions[i])]
+    if is_around and len(inside) + len(touching) == len(positions):
+        inside = []  # a room or a sky around the whole scene
     faults = []
     if inside:
         faults.append(Fault(frames=tuple(inside), what=f"the camera is inside {name!r}"))

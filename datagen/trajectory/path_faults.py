@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ MOST_FAULTS = 8
 """That one message names."""
 GRID = 5
 """Points along each side of a bounding box."""
+UNIT_GRID = np.stack(np.meshgrid(*[np.linspace(0, 1, GRID)] * 3), axis=-1).reshape(-1, 3)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,16 +28,13 @@ class Box:
     @property
     def points_world(self) -> NDArray[np.float64]:
         """A grid of points in it (GRID³, 3), from corner to corner."""
-        steps = np.linspace(0, 1, GRID)
-        return transform_points(
-            self.world_from_unit, np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(-1, 3)
-        )
+        return transform_points(self.world_from_unit, UNIT_GRID)
 
-    @property
+    @cached_property
     def range_world(self) -> NDArray[np.float64]:
         """The smallest and the largest coordinates (2, 3) that it reaches."""
         edges, corner = self.world_from_unit[:3, :3], self.world_from_unit[:3, 3]
-        return corner + np.stack([np.minimum(edges, 0).sum(axis=1), np.maximum(edges, 0).sum(axis=1)])
+        return np.array([corner + np.minimum(edges, 0).sum(axis=1), corner + np.maximum(edges, 0).sum(axis=1)])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,13 +61,35 @@ def part_in_view(
 ) -> NDArray[np.float64]:
     """Return for each pose of a path (N, 4, 4) what part of a box' points lies in the image and the clip range."""
     near, far = clip_range
+    parts = np.zeros(len(path))
+    maybe = np.flatnonzero(_may_be_in_view(box, path, camera))
     # The product from the right by a rotation is that by its inverse from the left.
-    points_camera = (box.points_world - path[:, None, :3, 3]) @ path[:, :3, :3]
+    points_camera = (box.points_world - path[maybe, None, :3, 3]) @ path[maybe, :3, :3]
     seen = (points_camera[..., 2] >= near) & (points_camera[..., 2] <= far)
     points_camera[~seen, 2] = 1.0  # so that dividing by it is possible
     u, v = np.moveaxis(camera.project(points_camera), -1, 0)
     seen &= (u >= -0.5) & (u <= camera.width - 0.5) & (v >= -0.5) & (v <= camera.height - 0.5)
-    return seen.mean(axis=1)
+    parts[maybe] = seen.mean(axis=1)
+    return parts
+
+
+def _may_be_in_view(box: Box, path: NDArray[np.float64], camera: PinholeCamera) -> NDArray[np.bool_]:
+    """Tell in which frames a ball around the box reaches the inner side of all four planes through the image's edges.
+
+    A box of which no point is seen is told so in most frames; of no other box it is.
+    """
+    low, high = box.range_world
+    center_camera = np.einsum("ni,nij->nj", (low + high) / 2 - path[:, :3, 3], path[:, :3, :3])
+    inwards = np.array(
+        [
+            [camera.fx, 0, camera.cx + 0.5],
+            [-camera.fx, 0, camera.width - 0.5 - camera.cx],
+            [0, camera.fy, camera.cy + 0.5],
+            [0, -camera.fy, camera.height - 0.5 - camera.cy],
+        ]
+    )
+    inwards /= np.linalg.norm(inwards, axis=1, keepdims=True)
+    return (center_camera @ inwards.T >= -np.linalg.norm(high - low) / 2).all(axis=1)
 
 
 def view_faults(
@@ -92,7 +113,9 @@ def view_faults(
     in_view = {name: np.zeros(len(path)) for name in names.values()}
     for box in chosen:
         best = in_view[names[box.name]]
-        missed = best < min_in_view
+        missed = np.flatnonzero(best < min_in_view)
+        if not len(missed):
+            continue
         best[missed] = np.maximum(best[missed], part_in_view(box, path[missed], camera, clip_range))
     faults = []
     for name, part in in_view.items():

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from datagen.camera import PinholeCamera
-from datagen.rigid import look_at
+from datagen.rigid import inverse, look_at, transform_points
 from datagen.trajectory.path_faults import Box, Fault, default_subjects, describe_faults, part_in_view, view_faults
 
 CAMERA = PinholeCamera(width=100, height=80, fx=100.0, fy=100.0, cx=49.5, cy=39.5)
@@ -33,6 +33,28 @@ def test_a_thin_box_across_the_image_is_in_view_as_far_as_the_image_reaches():
     for distance, part in ((2.999, 1 / 5), (3.001, 3 / 5)):
         path = views((0, 0, 0), position=(0.0, -distance, 0.0))
         assert part_in_view(rod, path, CAMERA, CLIP) == pytest.approx(part)
+
+
+def test_random_boxes_are_in_view_as_their_points_are_one_by_one():
+    random = np.random.default_rng(0)
+    path = np.stack([look_at(random.uniform(-3, 3, 3), random.uniform(-3, 3, 3)) for _ in range(40)])
+    parts = []
+    for _ in range(20):
+        world_from_unit = np.eye(4)
+        world_from_unit[:3] = random.normal(size=(3, 4)) * (0.5, 0.5, 0.5, 2)
+        tilted = Box(name="tilted", world_from_unit=world_from_unit)
+        found = part_in_view(tilted, path, CAMERA, CLIP)
+        for part, world_from_camera in zip(found, path, strict=True):
+            points = transform_points(inverse(world_from_camera), tilted.points_world)
+            points = points[(points[:, 2] > CLIP[0]) & (points[:, 2] < CLIP[1])]
+            u, v = CAMERA.project(points).T
+            assert part == np.count_nonzero((np.abs(u - 49.5) <= 50) & (np.abs(v - 39.5) <= 40)) / 125
+        np.testing.assert_allclose(
+            tilted.range_world, [tilted.points_world.min(axis=0), tilted.points_world.max(axis=0)], atol=1e-12
+        )
+        parts += found.tolist()
+    assert np.count_nonzero(parts) > 100
+    assert np.count_nonzero(np.equal(parts, 0)) > 100
 
 
 def test_beyond_the_clip_range_nothing_is_in_view():

@@ -97,6 +97,7 @@ def test_without_limits_every_speed_is_allowed():
         ([3, 4], "frames 3–4"),
         ([12, 13, 14, 40], "frames 12–14 and 40"),
         ([0, 2, 3, 9], "frames 0, 2–3 and 9"),
+        ([*range(0, 24, 2), 23], "frames 0, 2, 4, 6, 8, 10, 12, 14, 16, 18 and 3 more"),
     ],
 )
 def test_frames_are_named_in_ranges(frames, words):
