@@ -76,7 +76,7 @@ def part_in_view(
 def _may_be_in_view(box: Box, path: NDArray[np.float64], camera: PinholeCamera) -> NDArray[np.bool_]:
     """Tell in which frames a ball around the box reaches the inner side of all four planes through the image's edges.
 
-    A box of which no point is seen is told so in most frames; of no other box it is.
+    Where it does not, no point of the box can be in the image.
     """
     low, high = box.range_world
     center_camera = np.einsum("ni,nij->nj", (low + high) / 2 - path[:, :3, 3], path[:, :3, :3])
