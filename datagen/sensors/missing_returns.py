@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 
-from datagen.sensors.surfaces import Image, Mask, depth_edges
+from datagen.sensors.surfaces import Image, Mask
 
 SHADOW_TOLERANCE_PX = np.float32(1.5)
 """By so much disparity something must be nearer to hide a pixel: a steep surface does not hide itself."""
@@ -38,7 +38,6 @@ def grazing_loss(theta: Image, grazing_deg: tuple[float, float]) -> Image:
     return np.clip((theta - np.float32(start)) / np.float32(end - start), 0, 1)
 
 
-def edge_neighbourhood(w: Image) -> Mask:
+def neighbourhood(edges: Mask) -> Mask:
     """Tell (H, W) which pixels are at an edge of depth or touch one that is."""
-    edges = depth_edges(w).astype(np.uint8)
-    return cv2.dilate(edges, np.ones((3, 3), np.uint8)) > 0
+    return cv2.dilate(edges.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0

@@ -7,12 +7,14 @@ from numpy.typing import NDArray
 from datagen.camera import PinholeCamera
 from datagen.scene_spec.sensor_settings import SensorSettings
 from datagen.sensors.depth_sensors import SENSORS, DepthSensor
-from datagen.sensors.missing_returns import edge_neighbourhood, grazing_loss, unseen_by_second_view
+from datagen.sensors.missing_returns import grazing_loss, neighbourhood, unseen_by_second_view
 from datagen.sensors.surfaces import (
     SURFACE_TOLERANCE,
     Image,
+    Mask,
     cos_incidence,
     cos_incidence_of_normals,
+    depth_edges,
     inverse_depth,
     inverse_depth_slopes,
 )
@@ -22,7 +24,11 @@ SENSOR_NOISE = 0x5E45
 
 WAVINESS_PX = 1.5
 """Edges are displaced together over about this length: real ones are wavy, not sprinkled. By eye."""
-_WAVINESS_KERNEL = cv2.getGaussianKernel(11, WAVINESS_PX, cv2.CV_32F)
+_GAUSSIAN = np.asarray(cv2.getGaussianKernel(11, WAVINESS_PX, cv2.CV_32F), dtype=np.float32)
+_WAVINESS_KERNEL = _GAUSSIAN / np.linalg.norm(_GAUSSIAN)  # what has deviation 1 keeps it
+
+LARGEST_SHIFT = 4.0
+"""In standard deviations: farther from an edge nothing is displaced."""
 
 
 def sensor_generator(seed: int, frame: int) -> np.random.Generator:
@@ -55,15 +61,17 @@ def simulate_depth(
     slopes = inverse_depth_slopes(w)
     cosine = cos_incidence(w, slopes, camera) if normals is None else cos_incidence_of_normals(normals, camera)
     theta = np.arccos(cosine)
+    edges = depth_edges(w)
     measured = exact.copy()
     if settings.lateral > 0:
         if sensor.fattening_px:
             _fatten(measured, w, slopes, radius_px=round(settings.lateral * sensor.fattening_px))
-        _displace_edges(measured, w, slopes, shifts * (np.float32(settings.lateral) * sensor.lateral_sigma_px(theta)))
+        sigma_px = np.float32(settings.lateral) * sensor.lateral_sigma_px(theta)
+        _displace_edges(measured, w, slopes, edges, shifts, sigma_px)
     _add_axial_noise(measured, theta, axial_noise, sensor, settings)
     if settings.quantisation > 0:
         measured = quantised(measured, settings.quantisation * sensor.inverse_depth_step)
-    lost = _lost(w, theta, chance, camera, sensor, settings)
+    lost = _lost(w, theta, edges, chance, camera, sensor, settings)
     nearest = sensor.nearest if settings.nearest is None else settings.nearest
     farthest = sensor.farthest if settings.farthest is None else settings.farthest
     measured[lost | (exact <= 0) | (measured < nearest) | (measured > farthest)] = 0
@@ -79,29 +87,35 @@ def quantised(depth: Image, inverse_depth_step: float) -> Image:
     return inverse_depth(np.rint(inverse_depth(depth) / step) * step)
 
 
-def _unit_shifts(rng: np.random.Generator, shape: tuple[int, ...]) -> Image:
-    """Return displacements (2, H, W) of standard deviation 1, alike over ``WAVINESS_PX``."""
+def _unit_shifts(rng: np.random.Generator, shape: tuple[int, ...]) -> tuple[Image, Image]:
+    """Return displacements (H, W) along u and v of standard deviation 1, alike over ``WAVINESS_PX``."""
     reach = len(_WAVINESS_KERNEL) // 2
     noise = rng.standard_normal((2, shape[0] + 2 * reach, shape[1] + 2 * reach), dtype=np.float32)
-    gain = float(np.square(_WAVINESS_KERNEL).sum())
-    waves = [cv2.sepFilter2D(field, -1, _WAVINESS_KERNEL, _WAVINESS_KERNEL) for field in noise]
-    return np.stack(waves)[:, reach:-reach, reach:-reach] / np.float32(gain)
+    inner = np.s_[reach:-reach, reach:-reach]
+    along_u, along_v = (cv2.sepFilter2D(field, -1, _WAVINESS_KERNEL, _WAVINESS_KERNEL)[inner] for field in noise)
+    return along_u.astype(np.float32, copy=False), along_v.astype(np.float32, copy=False)
 
 
-def _displace_edges(measured: Image, w: Image, slopes: tuple[Image, Image], shifts: Image) -> None:
-    """Give pixels the depth that lies ``shifts`` (2, H, W) pixels beside them, where that is another surface.
+def _displace_edges(
+    measured: Image, w: Image, slopes: tuple[Image, Image], edges: Mask, shifts: tuple[Image, Image], sigma: Image
+) -> None:
+    """Give pixels near ``edges`` the depth that lies ``sigma``·``shifts`` pixels beside them, on another surface.
 
     On its own surface a pixel keeps its depth: the noise there is the axial one, which was measured with all its
     causes.
     """
     height, width = w.shape
-    du, dv = np.rint(shifts[0]), np.rint(shifts[1])
-    u, v = np.arange(width, dtype=np.float32) + du, np.arange(height, dtype=np.float32)[:, None] + dv
-    beside = cv2.remap(w, u, v, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
-    inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
-    elsewhere = np.abs(beside - w - slopes[0] * du - slopes[1] * dv) > np.float32(SURFACE_TOLERANCE) * w
-    source = cv2.remap(measured, u, v, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
-    np.copyto(measured, source, where=elsewhere & inside)
+    reach = min(int(np.ceil(LARGEST_SHIFT * sigma[edges].max(initial=0))), max(height, width))
+    near = cv2.dilate(edges.astype(np.uint8), np.ones((2 * reach + 1, 2 * reach + 1), np.uint8))
+    row, column = np.nonzero(near)
+    du = np.rint(sigma[row, column] * shifts[0][row, column])
+    dv = np.rint(sigma[row, column] * shifts[1][row, column])
+    u = np.clip(column + du.astype(np.intp), 0, width - 1)
+    v = np.clip(row + dv.astype(np.intp), 0, height - 1)
+    here = w[row, column]
+    on_own_surface = here + slopes[0][row, column] * du + slopes[1][row, column] * dv
+    elsewhere = np.abs(w[v, u] - on_own_surface) > np.float32(SURFACE_TOLERANCE) * here
+    measured[row, column] = np.where(elsewhere, measured[v, u], measured[row, column])
 
 
 def _fatten(measured: Image, w: Image, slopes: tuple[Image, Image], *, radius_px: int) -> None:
@@ -126,14 +140,20 @@ def _add_axial_noise(
 
 
 def _lost(
-    w: Image, theta: Image, chance: Image, camera: PinholeCamera, sensor: DepthSensor, settings: SensorSettings
+    w: Image,
+    theta: Image,
+    edges: Mask,
+    chance: Image,
+    camera: PinholeCamera,
+    sensor: DepthSensor,
+    settings: SensorSettings,
 ) -> NDArray[np.bool_]:
     """Tell which pixels get no return; ``chance`` is uniform in [0, 1)."""
     kept = np.ones_like(w)
     if settings.grazing:
         kept -= grazing_loss(theta, sensor.grazing_deg)
     if settings.edges:
-        kept[edge_neighbourhood(w)] *= np.float32(1 - sensor.edge_loss)
+        kept[neighbourhood(edges)] *= np.float32(1 - sensor.edge_loss)
     lost = chance >= kept
     if settings.shadow:
         disparity_px_m = camera.fx * sensor.baseline
