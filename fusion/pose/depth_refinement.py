@@ -14,7 +14,15 @@ from numpy.typing import NDArray
 
 from datagen.rigid import Matrix, rigid, transform_points
 from fusion.pose.levenberg_marquardt import Descent, descend
-from fusion.pose.normal_equations import GEMAN_MCCLURE, TUKEY, Normals, Robustness, normal_equations, point_residuals
+from fusion.pose.normal_equations import (
+    GEMAN_MCCLURE,
+    INLIER_SIGMAS,
+    TUKEY,
+    Normals,
+    Robustness,
+    normal_equations,
+    point_residuals,
+)
 from fusion.pose.pose_model import PoseModel
 from fusion.pose.query import Query, QueryCloud, query_cloud
 from fusion.pose.refinement import Refinement, declined
@@ -27,14 +35,16 @@ Starts = Literal["auto", "one", "many"]
 FEWEST_POINTS = 60
 _MODEL_NOISE_VOXELS = 0.12
 """Standard deviation of a fused field's distance, in voxels, of what is well seen; it is added to a point's own."""
-_INLIER_SIGMAS = 3.5
+_INLIER_VOXELS = 1.5
+"""A point is an inlier within this much of the surface, or within 3.5 standard deviations where that is more: no fused
+surface is to be trusted to less than a voxel everywhere."""
 _TUKEY_SIGMAS = 4.685
 """Tukey's kernel of this many standard deviations has 95 % of the efficiency of least squares."""
 _COARSE_POINTS, _MIDDLE_POINTS = 500, 2000
 _COARSE_ROUNDS, _COARSE_STEPS, _MIDDLE_STEPS, _FINE_STEPS = 4, 4, 6, 12
 _START_POINTS, _KEPT_STARTS = 300, 4
 _TURN_OF_STARTS_DEG = 35.0
-_EXPLAINED = 0.8
+_EXPLAINED = 0.65
 """Share of the query's points, and of the model's surface, from which on one start is enough."""
 
 
@@ -61,11 +71,21 @@ class _Problem:
     pivot_world: NDArray[np.float64]
     radius: float
 
+    @property
+    def inlier_within(self) -> float:
+        """How near the surface a point without noise has to be, to count as explained."""
+        return max(INLIER_SIGMAS * self.floor, _INLIER_VOXELS * self.model.voxel_size)
+
+    @property
+    def tolerance(self) -> float:
+        """How far depths that agree may be apart."""
+        return max(self.inlier_within, INLIER_SIGMAS * float(np.hypot(self.floor, self.cloud.sigma_median)))
+
     def descend(
         self, poses: NDArray[np.float64], *, count: int, kind: int, scales: NDArray[np.float64], iterations: int
     ) -> Descent:
         count = min(count, self.cloud.count)
-        robustness = Robustness(kind=kind, scales=scales, floor=self.floor, inlier_within=_INLIER_SIGMAS * self.floor)
+        robustness = Robustness(kind=kind, scales=scales, floor=self.floor, inlier_within=INLIER_SIGMAS * self.floor)
 
         def equations(at: NDArray[np.float64]) -> Normals:
             return normal_equations(
@@ -213,33 +233,25 @@ def _shifted_onto_depth(problem: _Problem, poses: NDArray[np.float64]) -> NDArra
     return result
 
 
-def _tolerances(problem: _Problem) -> tuple[float, float]:
-    """Return how far depths may differ that agree: metres, and metres per square metre of depth."""
-    within = _INLIER_SIGMAS * float(np.hypot(problem.floor, problem.cloud.sigma_median))
-    return within, 0.0
-
-
 def _scores(problem: _Problem, poses: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return how well poses (n, 4, 4) explain the view, from 0 to 1: the geometric mean of both ways."""
     wide = Robustness(
         kind=GEMAN_MCCLURE,
         scales=np.full(len(poses), 4 * problem.floor),
         floor=problem.floor,
-        inlier_within=2 * _INLIER_SIGMAS * problem.floor,
+        inlier_within=problem.inlier_within,
     )
     count = min(_MIDDLE_POINTS, problem.cloud.count)
     normals = normal_equations(
         problem.model, problem.cloud, poses, count=count, pivot_world=problem.pivot_world, robustness=wide
     )
-    within, per_square = _tolerances(problem)
-    counts = overlap(problem.model, problem.view, poses, within=2 * within, within_per_square=per_square)
+    counts = overlap(problem.model, problem.view, poses, within=2 * problem.tolerance)
     return np.sqrt(np.maximum(1 - 2 * normals.cost, 0) * agreement(counts))
 
 
 def _explains(problem: _Problem, found: Descent) -> bool:
     """Tell whether a descent explains the view well enough that no other start is needed."""
-    within, per_square = _tolerances(problem)
-    counts = overlap(problem.model, problem.view, found.poses, within=2 * within, within_per_square=per_square)
+    counts = overlap(problem.model, problem.view, found.poses, within=2 * problem.tolerance)
     return bool(found.normals.inliers[0] > _EXPLAINED and agreement(counts)[0] > _EXPLAINED)
 
 
@@ -248,8 +260,7 @@ def _result(problem: _Problem, found: Descent, start: Matrix, spent: int) -> Ref
     normals = found.normals
     if not normals.weight[0] > 0 or not np.isfinite(found.poses).all():
         return declined("depth", start, "none of the query's points comes near the model", used=problem.cloud.count)
-    within, per_square = _tolerances(problem)
-    counts = overlap(problem.model, problem.view, found.poses, within=within, within_per_square=per_square)
+    counts = overlap(problem.model, problem.view, found.poses, within=problem.tolerance)
     # The mean square of weighed residuals, which Tukey's kernel makes smaller: 0.95 of it at the noise's own scale.
     sigma = float(np.sqrt(normals.squares[0] / normals.weight[0]))
     settled = float(found.last_steps_m[0]) < 0.05 * problem.floor

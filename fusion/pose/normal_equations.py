@@ -24,6 +24,8 @@ _TUKEY = wp.constant(TUKEY)
 _RUN = 64
 """Points a thread."""
 
+INLIER_SIGMAS = 3.5
+
 SUMS = 33
 """Numbers of a run: 21 of JᵀWJ, 6 of JᵀWr, then cost, points with a field, inliers, Σw, Σw r², 1 for each point."""
 
@@ -86,6 +88,7 @@ def _accumulate(
     floor: float,
     kind: int,
     inlier_within: float,
+    inlier_sigmas: float,
     sums: wp.array2d(dtype=float),
 ) -> None:
     index = wp.tid() + first
@@ -109,7 +112,7 @@ def _accumulate(
             r = sample.distance / noise
             total[27] += robust_cost(r, scale, kind)
             total[28] += 1.0
-            if wp.abs(sample.distance) < inlier_within * noise:
+            if wp.abs(sample.distance) < wp.max(inlier_within, inlier_sigmas * noise * floor):
                 total[29] += 1.0
             weight = robust_weight(r, scale, kind)
             if weight > 0.0:
@@ -162,7 +165,8 @@ class Normals:
 class Robustness:
     """How residuals are weighed: ``kind`` GEMAN_MCCLURE or TUKEY, ``scales`` (n,) a pose, metres.
 
-    A point's own noise counts where it is over ``floor``; one within ``inlier_within`` of the surface is an inlier.
+    A point's own noise is added to ``floor``, the model's; a point within ``inlier_within`` of the surface, or within
+    3.5 standard deviations where that is more, is an inlier.
     """
 
     kind: int
@@ -211,7 +215,7 @@ def normal_equations(
             *poses_on(device, model.local(poses)),
             wp.vec3(*(pivot_world - model.origin_world).tolist()),
             wp.array(robustness.scales.astype(np.float32), dtype=float, device=device),
-            *(robustness.floor, robustness.kind, robustness.inlier_within),
+            *(robustness.floor, robustness.kind, robustness.inlier_within, INLIER_SIGMAS),
         ],
         outputs=[sums],
         device=device,

@@ -75,7 +75,7 @@ def query_cloud(query: Query, *, device: Device, most: int = MOST_POINTS) -> Que
     depth = query.valid_depth()
     v, u = np.nonzero(depth)
     # A rank-1 lattice: the pixels below any bound of this rank are spread evenly (Roberts' R2 sequence).
-    rank = (u * 0.7548776662466927 + v * 0.5698402909980532) % 1
+    rank = np.mod(u * 0.7548776662466927 + v * 0.5698402909980532, 1.0)
     chosen = _least(rank, most)
     u, v = u[chosen], v[chosen]
     z = depth[v, u].astype(np.float64)
@@ -90,7 +90,7 @@ def query_cloud(query: Query, *, device: Device, most: int = MOST_POINTS) -> Que
     )
 
 
-def _least(rank: NDArray[np.float64], count: int) -> NDArray[np.int64]:
+def _least(rank: NDArray[np.floating], count: int) -> NDArray[np.int64]:
     """Return the indices of the ``count`` least, in ascending order of rank."""
     some = np.argpartition(rank, count)[:count] if count < len(rank) else np.arange(len(rank))
     return some[np.argsort(rank[some])]
@@ -108,11 +108,19 @@ class DepthNoise:
         return self.constant + self.quadratic * np.asarray(depth, dtype=np.float64) ** 2
 
 
+def _trimmed_deviation(values: NDArray[np.float64]) -> float:
+    """Return the standard deviation that the smallest four fifths of normally distributed values tell of all."""
+    squares = np.sort(values**2)[: max(int(0.8 * len(values)), 1)]
+    # Of a standard normal distribution, cut off at the 80 % quantile of its size.
+    return float(np.sqrt(squares.mean() / 0.43775))
+
+
 def depth_noise(depth: NDArray[np.float32]) -> DepthNoise:
     """Tell the noise of a depth image (height, width), 0 = invalid, from itself.
 
-    On a surface, depth along a row has next to no second difference; that of independent noise is √6 σ wide. Its median
-    size, in bins of depth, is robust to edges. Smooth noise, alike in neighbouring pixels, is not seen.
+    On a plane, depth along a row has no second difference but for its noise, which makes it √6 σ wide. The greatest
+    fifth of them, where edges are, is left out; a median would not see the steps of a coarsely quantised depth. Noise
+    that is alike in neighbouring pixels is not seen either way.
     """
     left, middle, right = depth[:, :-2], depth[:, 1:-1], depth[:, 2:]
     valid = (left > 0) & (middle > 0) & (right > 0)
@@ -124,7 +132,7 @@ def depth_noise(depth: NDArray[np.float32]) -> DepthNoise:
     order = np.argsort(z)
     bins = [part for part in np.array_split(order, _NOISE_BINS) if len(part) >= _LEAST_PIXELS_A_BIN]
     bins = bins or [order]
-    sigmas = np.array([1.4826 * np.median(np.abs(bend[part])) / 6**0.5 for part in bins])
+    sigmas = np.array([_trimmed_deviation(bend[part]) / 6**0.5 for part in bins])
     squares = np.array([np.median(z[part]) ** 2 for part in bins])
     spread = squares - squares.mean()
     quadratic = float((spread @ sigmas) / (spread @ spread)) if len(bins) > 2 and np.ptp(squares) > 0.1 else 0.0
