@@ -41,6 +41,12 @@ def summarise(dataset: Dataset) -> dict[str, Any]:
         "depth": _depth_range(dataset, present),
         "trajectory": _trajectory(dataset, present),
         "ground_truth_mesh": str(mesh) if mesh is not None and mesh.is_file() else None,
+        "sensor": dataset.metadata.sensor.model_dump(mode="json")
+        if dataset.metadata is not None and dataset.metadata.sensor is not None
+        else None,
+        "distortion": dataset.metadata.distortion.model_dump(mode="json")
+        if dataset.metadata is not None and dataset.metadata.distortion is not None
+        else None,
         "recipe": dataset.metadata.recipe if dataset.metadata is not None else None,
         "provenance": dataset.metadata.provenance if dataset.metadata is not None else None,
         "notes": list(dataset.notes),
@@ -70,6 +76,11 @@ def describe(summary: dict[str, Any]) -> str:
         lines["trajectory"] = f"{path['length_m']:.2f} m long, within {extent} m"
     if summary["layers"]:
         lines["layers"] = ", ".join(summary["layers"])
+    if summary["sensor"] is not None:
+        lines["sensor"] = f"{summary['sensor']['model']}, seed {summary['sensor']['seed']}"
+    if summary["distortion"] is not None:
+        bent = ", ".join(f"{key} {value:g}" for key, value in summary["distortion"].items() if key[0] in "kp" and value)
+        lines["lens"] = f"{bent or 'no distortion'}; {summary['distortion']['shown']:.1%} of its pixels show something"
     if summary["recipe"]:
         render = summary["recipe"].get("render")
         render = render if isinstance(render, dict) else {}

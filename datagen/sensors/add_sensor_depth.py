@@ -7,6 +7,7 @@ from datagen.errors import InputError
 from datagen.layers import LAYERS, layer_file, write_layer
 from datagen.open_dataset import open_dataset
 from datagen.progress import ProgressReporter, silent
+from datagen.rendering.folder_lock import claiming
 from datagen.scene_spec.sensor_settings import SensorSettings
 from datagen.sensors.extra_layers import SENSOR_DEPTH, sensor_depth
 
@@ -15,8 +16,8 @@ def add_sensor_depth(dataset: Dataset, settings: SensorSettings, *, progress: Pr
     """Add the layer ``sensor_depth`` to a dataset of ours, in place of one made with other settings, and return it.
 
     ``settings`` has its seed. The layer is listed in ``dataset.json`` when all of its images are there; a run that was
-    killed goes on with those that are missing. Raises InputError for a dataset of another format or without all of
-    its depth images, and where the layer cannot be written.
+    killed goes on with those that are missing. Raises InputError for a dataset of another format, without all of its
+    depth images or that another process works on, and where the layer cannot be written.
     """
     folder = dataset.folder
     if dataset.metadata is None:
@@ -25,6 +26,13 @@ def add_sensor_depth(dataset: Dataset, settings: SensorSettings, *, progress: Pr
             f"datagen convert {folder} OUT --format scanback"
         )
     dataset.require(dataset.frame_ids, parts=(DEPTH_PART,))
+    with claiming(folder, range(len(dataset.frame_ids))):
+        _write_layer(dataset, settings, progress)
+    return open_dataset(folder)
+
+
+def _write_layer(dataset: Dataset, settings: SensorSettings, progress: ProgressReporter) -> None:
+    folder = dataset.folder
     metadata = read_metadata(folder)
     if metadata.sensor != settings:
         metadata = _begin_anew(dataset, metadata, settings)
@@ -39,7 +47,6 @@ def add_sensor_depth(dataset: Dataset, settings: SensorSettings, *, progress: Pr
         advance()
     if SENSOR_DEPTH not in metadata.layers:
         write_metadata(folder, metadata.model_copy(update={"layers": (*metadata.layers, SENSOR_DEPTH)}))
-    return open_dataset(folder)
 
 
 def _begin_anew(dataset: Dataset, metadata: Metadata, settings: SensorSettings) -> Metadata:

@@ -1,11 +1,15 @@
 """The layers of a dataset: made while rendering, and added afterwards."""
 
 import json
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 from analytic_depth import CAMERA, tilted_plane
 
+import datagen
 from datagen.cli import main
 from datagen.dataset_format import Intrinsics, Metadata, read_metadata, write_metadata
 from datagen.dataset_writer import write_frame
@@ -18,6 +22,7 @@ from datagen.sensors.extra_layers import extra_layers, sensor_depth, sensor_of
 from datagen.sensors.lens import lens_map
 from datagen.sensors.lens_images import distort_color, distort_depth
 
+CHECKOUT = Path(datagen.__file__).parents[1]
 FRAMES = 4
 KINECT = SensorSettings(model="kinect-v1", seed=3)
 
@@ -116,6 +121,19 @@ def test_a_layer_that_is_half_replaced_is_not_listed_and_never_mixed(folder):
     assert images(folder) == mixed
 
 
+def test_a_dataset_that_is_being_rendered_is_left_alone(folder):
+    holds = "import sys; from pathlib import Path; from datagen.rendering.folder_lock import claiming\n"
+    holds += f"with claiming(Path({str(folder)!r}), range(1)): print('held', flush=True); sys.stdin.read()"
+    other = subprocess.Popen(
+        [sys.executable, "-c", holds], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=CHECKOUT
+    )
+    with other:
+        assert other.stdout.readline() == "held\n"
+        with pytest.raises(InputError, match="another process"):
+            add_sensor_depth(open_dataset(folder), KINECT)
+    assert read_metadata(folder).sensor is None
+
+
 def test_a_missing_depth_image_is_named(folder):
     (folder / "frames" / "frame-000002.depth.png").unlink()
     with pytest.raises(InputError, match=r"frame-000002\.depth\.png"):
@@ -171,6 +189,30 @@ def test_a_rendered_dataset_has_the_layers_of_its_scene(blender, make_scene, tmp
         # It was made from depth before its rounding to 1e-4, which at a silhouette can decide what is one surface.
         assert (np.abs(shown - expected) <= 1.1e-4).mean() > 0.99
     assert (dataset.read_layer("sensor_depth", 0) > 0).any()
+    before = images(dataset.folder)
+    for image in (dataset.folder / "frames").glob("frame-000001.*"):
+        image.unlink()
+    (dataset.folder / "sensor_depth" / "frame-000001.depth.png").unlink()
+    render_dataset(scene, tmp_path / "layered", device="cpu")
+    assert images(dataset.folder) == before
+
+
+def test_replacing_a_rendered_sensor_makes_it_a_dataset_of_another_scene(blender, make_scene, tmp_path):
+    scene = make_scene(sensor=LAYERED["sensor"])
+    dataset = render_dataset(scene, tmp_path / "d", device="cpu")
+    other = dataset.metadata.sensor.model_copy(update={"seed": 99})
+    add_sensor_depth(dataset, other)
+    with pytest.raises(InputError, match=r"its sensor\.seed is 99"):
+        render_dataset(scene, tmp_path / "d", device="cpu")
+
+
+def test_info_tells_of_sensor_and_lens(blender, make_scene, tmp_path, capsys):
+    dataset = render_dataset(make_scene(**LAYERED | {"lens": {"k1": -0.3}}), tmp_path / "d", device="cpu")
+    assert main(["info", str(dataset.folder)]) == 0
+    told = capsys.readouterr().out
+    assert "kinect-v1, seed 0" in told
+    assert f"k1 -0.3; {dataset.metadata.distortion.shown:.1%} of its pixels show something" in told
+    assert dataset.metadata.distortion.shown < 1
 
 
 def test_a_layer_made_while_rendering_is_the_one_added_later_bit_for_bit(blender, make_scene, tmp_path):
