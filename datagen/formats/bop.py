@@ -16,7 +16,7 @@ from datagen.dataset import Dataset, FrameRecord
 from datagen.errors import InputError
 from datagen.formats.format import Conversion, DatasetFormat
 from datagen.formats.intrinsics_file import camera_from_matrix
-from datagen.formats.json_file import numbers, read_json_object
+from datagen.formats.json_file import depth_scale, numbers, read_json_object
 from datagen.images import image_size
 from datagen.rigid import Matrix, inverse, rigid
 
@@ -38,11 +38,11 @@ def open_bop(folder: Path) -> Dataset:
     path = folder / CAMERA_FILE
     entries = _entries(path)
     first = next(iter(entries))
-    matrix, scale = _camera_matrix(entries[first], path, first), _depth_scale(entries[first], path, first)
+    matrix, scale = _camera_matrix(entries[first], path, first), _metres_per_step(entries[first], path, first)
     for number, entry in entries.items():
         if not np.allclose(_camera_matrix(entry, path, number), matrix, rtol=0, atol=1e-6):
             raise InputError(f"{path}: image {number}: its cam_K differs from image {first}'s; one camera is expected")
-        if _depth_scale(entry, path, number) != scale:
+        if _metres_per_step(entry, path, number) != scale:
             raise InputError(f"{path}: image {number}: its depth_scale differs from image {first}'s; one is expected")
     frames = {
         number: FrameRecord(
@@ -61,7 +61,7 @@ def open_bop(folder: Path) -> Dataset:
         format_name=FORMAT.title,
         frames=frames,
         camera=camera_from_matrix(matrix, size=image_size(there), source=f"{path}: image {first}: cam_K"),
-        depth_scale=scale / MM_PER_METRE,
+        depth_scale=scale,
         notes=(f"the objects of {OBJECTS_FILE} are not read",) if has_objects else (),
     )
 
@@ -81,12 +81,9 @@ def _camera_matrix(entry: dict[str, Any], path: Path, number: int) -> np.ndarray
     return numbers(entry.get("cam_K"), 9, source=f"{path}: image {number}: cam_K").reshape(3, 3)
 
 
-def _depth_scale(entry: dict[str, Any], path: Path, number: int) -> float:
+def _metres_per_step(entry: dict[str, Any], path: Path, number: int) -> float:
     source = f"{path}: image {number}: depth_scale"
-    scale = float(numbers(entry.get("depth_scale"), 1, source=source)[0])
-    if scale <= 0:
-        raise InputError(f"{source}: found {scale:g}, expected millimetres a step, more than 0")
-    return scale
+    return depth_scale(entry.get("depth_scale"), unit_m=1 / MM_PER_METRE, source=source)
 
 
 def _pose(entry: dict[str, Any], path: Path, number: int) -> Matrix | None:

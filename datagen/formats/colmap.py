@@ -17,7 +17,7 @@ from datagen.dataset import Dataset, FrameRecord
 from datagen.errors import InputError
 from datagen.formats.format import Conversion, DatasetFormat, OutputFrame
 from datagen.formats.frame_numbers import frame_numbers, natural_order
-from datagen.formats.json_file import numbers, read_json_object
+from datagen.formats.json_file import depth_scale, read_json_object
 from datagen.formats.quaternions import pose_from_quat_wxyz, quat_wxyz_from_rotation
 from datagen.formats.text_table import Row, read_lines, read_rows
 from datagen.images import read_color, read_depth
@@ -95,11 +95,7 @@ def open_colmap(folder: Path) -> Dataset:
 
 
 def _depth_scale(path: Path) -> float:
-    source = f"{path}: {SCALE_KEY}"
-    scale = float(numbers(read_json_object(path).get(SCALE_KEY), 1, source=source)[0])
-    if scale <= 0:
-        raise InputError(f"{source}: found {scale:g}, expected more than 0")
-    return scale
+    return depth_scale(read_json_object(path).get(SCALE_KEY), source=f"{path}: {SCALE_KEY}")
 
 
 def _camera(row: Row) -> PinholeCamera:

@@ -7,6 +7,7 @@ import numpy as np
 from datagen.atomic_write import write_bytes
 from datagen.camera import PinholeCamera
 from datagen.errors import InputError
+from datagen.formats.text_table import read_rows
 
 INTRINSICS_FILE = "camera-intrinsics.txt"
 EXPECTED = "a 3×3 intrinsic matrix [fx 0 cx; 0 fy cy; 0 0 1], integer pixel centres"
@@ -14,12 +15,13 @@ EXPECTED = "a 3×3 intrinsic matrix [fx 0 cx; 0 fy cy; 0 0 1], integer pixel cen
 
 def read_intrinsics(path: Path, *, size: tuple[int, int]) -> PinholeCamera:
     """Return the camera of a 3×3 matrix for images of ``size`` (width, height); raises InputError for anything else."""
-    try:
-        matrix = np.loadtxt(path, dtype=np.float64)
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: {error}; expected {EXPECTED}") from None
-    if matrix.shape != (3, 3):
-        raise InputError(f"{path}: found {matrix.size} numbers in rows of unlike length; expected {EXPECTED}")
+    rows = read_rows(path)
+    for row in rows:
+        if len(row.fields) != 3:
+            raise row.error(f"found {len(row.fields)} numbers, expected {EXPECTED}")
+    if len(rows) != 3:
+        raise InputError(f"{path}: found {len(rows)} rows, expected {EXPECTED}")
+    matrix = np.stack([row.numbers(row.fields, EXPECTED) for row in rows])
     return camera_from_matrix(matrix, size=size, source=str(path))
 
 

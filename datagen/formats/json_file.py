@@ -9,6 +9,9 @@ from numpy.typing import NDArray
 
 from datagen.errors import InputError
 
+LARGEST_DEPTH_SCALE_M = 10.0
+"""As in ``dataset.json``; with it, depth in 16 bits ends at 655 km."""
+
 
 def read_json_object(path: Path) -> dict[str, Any]:
     """Return the object in a JSON file; raises InputError naming the line where it is malformed."""
@@ -36,6 +39,19 @@ def numbers(value: Any, count: int, *, source: str) -> NDArray[np.float64]:
     if array.size != count or not np.isfinite(array).all():
         raise InputError(f"{source}: found {_short(value)}, expected {count} finite number{'s' if count > 1 else ''}")
     return array
+
+
+def depth_scale(value: Any, *, unit_m: float = 1.0, source: str) -> float:
+    """Return metres a step of depth images from ``value`` in units of ``unit_m``; ``source`` begins the InputError.
+
+    It is refused where it is not more than 0 and at most ``LARGEST_DEPTH_SCALE_M``.
+    """
+    scale = float(numbers(value, 1, source=source)[0])
+    if not 0 < scale * unit_m <= LARGEST_DEPTH_SCALE_M:
+        raise InputError(
+            f"{source}: found {scale:g}, expected more than 0 and at most {LARGEST_DEPTH_SCALE_M / unit_m:g}"
+        )
+    return scale * unit_m
 
 
 def _short(value: Any) -> str:

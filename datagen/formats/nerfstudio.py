@@ -18,7 +18,7 @@ from datagen.dataset import Dataset, FrameRecord
 from datagen.errors import InputError
 from datagen.formats.format import Conversion, DatasetFormat
 from datagen.formats.frame_numbers import frame_numbers, natural_order
-from datagen.formats.json_file import numbers, read_json_object
+from datagen.formats.json_file import depth_scale, numbers, read_json_object
 from datagen.images import image_size
 from datagen.rigid import rigid
 
@@ -49,10 +49,7 @@ def open_nerfstudio(folder: Path) -> Dataset:
         raise InputError(f"{path}: frames: {len(entries) - len(records)} of them repeat another one's file_path")
     names = sorted(records, key=natural_order)
     frames = dict(zip(frame_numbers(names), (records[name] for name in names), strict=True))
-    factor = content.get(SCALE_KEY, DEFAULT_METRES_PER_STEP)
-    scale = float(numbers(factor, 1, source=f"{path}: {SCALE_KEY}")[0])
-    if scale <= 0:
-        raise InputError(f"{path}: {SCALE_KEY}: found {scale:g}, expected metres a step, more than 0")
+    scale = depth_scale(content.get(SCALE_KEY, DEFAULT_METRES_PER_STEP), source=f"{path}: {SCALE_KEY}")
     size = image_size(next((f.depth for f in frames.values() if f.depth.is_file()), next(iter(frames.values())).depth))
     return Dataset(
         folder=folder,
@@ -84,7 +81,7 @@ def _record(entry: dict[str, Any], index: int, path: Path) -> FrameRecord:
 
 def _file_path(entry: dict[str, Any], index: int, key: str, path: Path) -> str:
     value = entry.get(key)
-    if not isinstance(value, str) or not value:
+    if not isinstance(value, str) or not value or "\0" in value:
         raise InputError(f"{path}: frames[{index}]: {key}: found {value!r}, expected the path of an image")
     return value
 

@@ -16,7 +16,7 @@ from datagen.errors import InputError
 from datagen.formats.format import Conversion, DatasetFormat
 from datagen.formats.frame_numbers import frame_numbers, natural_order
 from datagen.formats.intrinsics_file import camera_from_matrix
-from datagen.formats.json_file import numbers, read_json_object
+from datagen.formats.json_file import LARGEST_DEPTH_SCALE_M, numbers, read_json_object
 from datagen.formats.text_table import Row, read_rows
 from datagen.images import DEPTH_INVALID_MAX
 from datagen.rigid import Matrix, rigid
@@ -27,6 +27,7 @@ CONFIG_FILE = "config.json"
 COLOR_FOLDERS = ("color", "rgb", "image")
 COLOR_SUFFIXES = (".png", ".jpg")
 DEFAULT_STEPS_PER_METRE = 1000.0
+MOST_STEPS_PER_METRE = 1e9
 ROWS_PER_POSE = 5
 
 
@@ -59,7 +60,7 @@ def open_open3d_log(folder: Path) -> Dataset:
     key = "depth_scale"
     steps = (read_json_object(config) if config.is_file() else {}).get(key, DEFAULT_STEPS_PER_METRE)
     steps_per_metre = float(numbers(steps, 1, source=f"{config}: {key}")[0])
-    if steps_per_metre <= 0:
+    if not 1 / LARGEST_DEPTH_SCALE_M <= steps_per_metre <= MOST_STEPS_PER_METRE:
         raise InputError(f"{config}: {key}: found {steps_per_metre:g}, expected steps a metre, more than 0")
     return Dataset(
         folder=folder,

@@ -49,11 +49,14 @@ class Row:
 def read_lines(path: Path) -> list[str]:
     """Return the lines of a text file; raises InputError where it is missing or no text."""
     try:
-        return path.read_text(encoding="utf-8").splitlines()
+        text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
         raise InputError(f"{path}: the file is missing") from None
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot be read as text ({error})") from error
+    if "\0" in text:
+        raise InputError(f"{path}: holds zero bytes, as a file does whose writing was cut short; copy it again")
+    return text.splitlines()
 
 
 def read_rows(path: Path) -> list[Row]:

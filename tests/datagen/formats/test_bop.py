@@ -85,7 +85,7 @@ def test_jpeg_colour_and_gaps_in_the_numbers_are_read(source, folder):
         ({"cam_K": [171, 0, 81.3, 0, 165, 58.6, 0, 0, 1]}, r"image 1: its cam_K differs from image 0's"),
         ({"depth_scale": None}, r"image 1: depth_scale: found None, expected 1 finite number"),
         ({"depth_scale": 0.2}, r"image 1: its depth_scale differs from image 0's"),
-        ({"depth_scale": -1}, r"image 1: depth_scale: found -1, expected millimetres a step"),
+        ({"depth_scale": -1}, r"image 1: depth_scale: found -1, expected more than 0 and at most 10000"),
         ({"cam_t_w2c": None}, r"image 1: cam_t_w2c: found None, expected 3 finite numbers"),
         ({"cam_R_w2c": [2, 0, 0, 0, 2, 0, 0, 0, 2]}, r"image 1: cam_R_w2c: the pose is not rigid"),
     ],

@@ -76,7 +76,7 @@ def test_a_frame_may_repeat_the_camera_but_not_change_it(folder):
         ({"fl_x": "wide"}, {}, r"transforms.json: fl_x: found 'wide', expected 1 finite number"),
         ({"w": 320}, {}, r"transforms.json: w, h: found 320, 120, but the depth images are 160×120"),
         ({"fl_x": -5.0}, {}, r"transforms.json: camera: fx -5"),
-        ({"depth_unit_scale_factor": 0}, {}, r"depth_unit_scale_factor: found 0, expected metres a step"),
+        ({"depth_unit_scale_factor": 0}, {}, r"depth_unit_scale_factor: found 0, expected more than 0 and at most 10"),
         ({"frames": []}, {}, r"transforms.json: frames: expected a list of objects, at least one"),
         ({}, {"depth_file_path": None}, r"frames\[1\]: has no depth_file_path"),
         ({}, {"file_path": 7}, r"frames\[1\]: file_path: found 7, expected the path"),

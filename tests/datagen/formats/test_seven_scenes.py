@@ -44,16 +44,19 @@ def test_the_nominal_camera_is_taken_for_the_data_sets_own_images_alone(source, 
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        ("1 2 3\n4 5 6", "expected a 3×3 intrinsic matrix"),
-        ("100 0 50\n0 100 x\n0 0 1", "expected a 3×3 intrinsic matrix"),
-        ("100 1 50\n0 100 50\n0 0 1", "expected a 3×3 intrinsic matrix.*found"),
-        ("0.01 0 50\n0 100 50\n0 0 1", "camera: fx 0.01"),
+        ("", ": found 0 rows, expected a 3×3 intrinsic matrix"),
+        ("1 2 3\n4 5 6", ": found 2 rows, expected a 3×3 intrinsic matrix"),
+        ("1 2 3\n4 5", ", line 2: found 2 numbers, expected a 3×3 intrinsic matrix"),
+        ("100 0 50\n0 100 x\n0 0 1", ", line 2: found 'x', expected a number"),
+        ("100 1 50\n0 100 50\n0 0 1", ": expected a 3×3 intrinsic matrix.*found"),
+        ("0.01 0 50\n0 100 50\n0 0 1", ": camera: fx 0.01"),
+        ("100 0 50\n0 100 50\n0 0 1\0", ": holds zero bytes"),
     ],
 )
 def test_intrinsics_that_are_none_are_refused_by_file(source, tmp_path, text, complaint):
     folder = convert(source, tmp_path / "out", "7scenes")
     (folder / "camera-intrinsics.txt").write_text(text)
-    with pytest.raises(InputError, match=f"camera-intrinsics.txt: .*{complaint}"):
+    with pytest.raises(InputError, match=f"camera-intrinsics.txt{complaint}"):
         open_dataset(folder)
 
 
