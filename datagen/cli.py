@@ -4,10 +4,10 @@ import argparse
 import sys
 from collections.abc import Sequence
 
-from datagen.commands import convert, info, merge, pointcloud, preview, render, sensor, verify, validate
+from datagen.commands import convert, info, lens, merge, pointcloud, preview, render, sensor, validate, verify
 from datagen.errors import InputError, WorkerError
 
-COMMANDS = (render, info, sensor, convert, verify, merge, pointcloud, validate, preview)
+COMMANDS = (render, info, sensor, lens, convert, verify, merge, pointcloud, validate, preview)
 
 EXIT_FAILURE = 1
 EXIT_INPUT_ERROR = 2

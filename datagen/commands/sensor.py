@@ -11,7 +11,7 @@ from datagen.open_dataset import open_dataset
 from datagen.progress import on_terminal
 from datagen.pydantic_errors import describe_validation_error
 from datagen.scene_spec.sensor_settings import SensorSettings
-from datagen.sensors.add_sensor_depth import add_sensor_depth
+from datagen.sensors.add_layers import add_sensor_depth
 from datagen.sensors.depth_sensors import SENSORS
 
 SETTINGS = ("model", "seed", "axial", "lateral", "quantisation", "grazing", "shadow", "edges", "nearest", "farthest")

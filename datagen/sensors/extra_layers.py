@@ -14,8 +14,6 @@ from datagen.sensors.lens_images import distort_color, distort_depth
 from datagen.sensors.simulate_depth import sensor_generator, simulate_depth
 from datagen.sensors.surfaces import Image
 
-SENSOR_DEPTH = "sensor_depth"
-
 
 def extra_layers(
     scene: Scene, frame: int, color: NDArray[np.uint8], depth: NDArray[np.floating], camera: PinholeCamera
@@ -27,12 +25,18 @@ def extra_layers(
     layers: dict[str, NDArray] = {}
     sensor = sensor_of(scene)
     if sensor is not None:
-        layers[SENSOR_DEPTH] = sensor_depth(depth, camera, sensor, frame=frame, depth_scale=scene.render.depth_scale)
+        layers["sensor_depth"] = sensor_depth(depth, camera, sensor, frame=frame, depth_scale=scene.render.depth_scale)
     if scene.lens is not None:
-        lens = lens_map(camera, scene.lens)
-        layers["distorted_color"] = distort_color(color, lens)
-        layers["distorted_depth"] = distort_depth(depth, lens)
+        layers |= lens_layers(color, depth, camera, scene.lens)
     return layers
+
+
+def lens_layers(
+    color: NDArray[np.uint8], depth: NDArray[np.floating], camera: PinholeCamera, lens: LensSettings
+) -> dict[str, NDArray]:
+    """Return what ``lens`` makes of a frame's colour and depth, by layer name; arguments as ``extra_layers``."""
+    shown = lens_map(camera, lens)
+    return {"distorted_color": distort_color(color, shown), "distorted_depth": distort_depth(depth, shown)}
 
 
 def sensor_of(scene: Scene) -> SensorSettings | None:

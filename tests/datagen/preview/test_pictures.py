@@ -20,7 +20,7 @@ from datagen.preview.moving_pictures import write_moving_pictures
 from datagen.preview.source import preview_source
 from datagen.preview.trajectory_plot import write_trajectory_plot
 from datagen.scene_spec.sensor_settings import SensorSettings
-from datagen.sensors.add_sensor_depth import add_sensor_depth
+from datagen.sensors.add_layers import add_sensor_depth
 
 
 @pytest.fixture

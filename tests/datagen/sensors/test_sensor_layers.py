@@ -16,8 +16,9 @@ from datagen.dataset_writer import write_frame
 from datagen.errors import InputError
 from datagen.open_dataset import open_dataset
 from datagen.rendering.render_job import render_dataset
+from datagen.scene_spec.lens_settings import LensSettings
 from datagen.scene_spec.sensor_settings import SensorSettings
-from datagen.sensors.add_sensor_depth import add_sensor_depth
+from datagen.sensors.add_layers import add_lens_layers, add_sensor_depth
 from datagen.sensors.extra_layers import extra_layers, sensor_depth, sensor_of
 from datagen.sensors.lens import lens_map
 from datagen.sensors.lens_images import distort_color, distort_depth
@@ -164,6 +165,32 @@ def test_the_command_refuses_what_no_sensor_has(folder, options, complaint, caps
     assert main(["sensor", str(folder), "--model", "kinect-v1", *options]) == 2
     assert complaint in capsys.readouterr().err
     assert not (folder / "sensor_depth").exists()
+
+
+def test_a_lens_is_added_recorded_and_replaced(folder, capsys):
+    camera = open_dataset(folder).camera
+    assert main(["lens", str(folder), "--k1", "-0.25", "--k2", "0.06"]) == 0
+    first = open_dataset(folder)
+    assert first.layers == ("distorted_color", "distorted_depth")
+    assert (first.metadata.distortion.k1, first.metadata.distortion.intrinsics.fx) == (-0.25, camera.fx)
+    mapped = lens_map(camera, LensSettings(k1=-0.25, k2=0.06))
+    assert f"{mapped.inside.mean():.1%} of their pixels" in capsys.readouterr().out
+    expected = distort_depth(first.depth(2), mapped)
+    np.testing.assert_allclose(first.read_layer("distorted_depth", 2), expected, atol=0.51e-4)
+    assert main(["lens", str(folder), "--k1", "0.1", "--magnification", "cover"]) == 0
+    second = open_dataset(folder)
+    assert second.layers == first.layers
+    assert second.metadata.distortion.shown == 1
+    assert not np.array_equal(second.read_layer("distorted_depth", 2), expected)
+
+
+def test_sensor_and_lens_keep_each_other(folder):
+    add_sensor_depth(open_dataset(folder), KINECT)
+    before = images(folder)
+    dataset = add_lens_layers(open_dataset(folder), LensSettings(k1=-0.1))
+    assert dataset.layers == ("sensor_depth", "distorted_color", "distorted_depth")
+    assert images(folder) == before
+    assert dataset.metadata.sensor == KINECT
 
 
 LAYERED = {
