@@ -61,7 +61,7 @@ def open_open3d_log(folder: Path) -> Dataset:
     steps = (read_json_object(config) if config.is_file() else {}).get(key, DEFAULT_STEPS_PER_METRE)
     steps_per_metre = float(numbers(steps, 1, source=f"{config}: {key}")[0])
     if not 1 / LARGEST_DEPTH_SCALE_M <= steps_per_metre <= MOST_STEPS_PER_METRE:
-        raise InputError(f"{config}: {key}: found {steps_per_metre:g}, expected steps a metre, more than 0")
+        raise InputError(f"{config}: {key}: found {steps_per_metre:g}, expected 0.1 to 1e9 steps a metre")
     return Dataset(
         folder=folder,
         format_name=FORMAT.title,
