@@ -16,7 +16,7 @@ demo: $(DEMO)/comparison.png
 
 # A complete dataset is left as it is, and with it the folder's date: then nothing below is made again.
 $(DEMO)/dataset/frames: $(VENV)/blender.installed scenes/suzanne.toml FORCE
-	$(RUN) datagen render suzanne $(DEMO)/dataset
+	$(RUN) datagen render suzanne $(DEMO)/dataset --frames 60
 
 $(DEMO)/reconstruction.json: $(DEMO)/dataset/frames
 	$(RUN) fusion reconstruct $(DEMO)/dataset $(DEMO) --frames ::2

@@ -1,6 +1,6 @@
 """A scene as it would be rendered at one frame, made of plain meshes that nothing moves any more.
 
-Modifiers, instances, curves, texts, drivers and simulations are evaluated once, with the settings for renders, so that what
+Modifiers, instances, curves, texts, drivers and simulations are evaluated once, with the settings for renders: what
 Cycles renders is what the ground truth has, in every frame.
 """
 
@@ -13,6 +13,7 @@ from mathutils import Matrix
 
 from datagen.blender.materials import add_neutral_material, add_vertex_color_material
 from datagen.blender.opaque import make_opaque
+from datagen.blender.placement import place
 from datagen.errors import InputError
 
 FROZEN_INDEX, FROZEN_NAME = "scanback_index", "scanback_name"
@@ -108,13 +109,7 @@ def _frozen_mesh(thing: bpy.types.Object, depsgraph: bpy.types.Depsgraph, source
 
 def _new_object(name: str, data: bpy.types.ID, matrix_world: Matrix) -> bpy.types.Object:
     thing = bpy.data.objects.new(name, data)
-    world = matrix_world.copy()
-    thing.matrix_world = world
-    if isinstance(data, bpy.types.Mesh) and not np.allclose(thing.matrix_world, world, rtol=1e-5, atol=1e-6):
-        # Sheared, as by a turned child of a stretched parent: no location, rotation and scale does that.
-        thing.data = data.copy()
-        thing.data.transform(world)
-        thing.matrix_world = Matrix.Identity(4)
+    place(thing, matrix_world.copy())
     return thing
 
 

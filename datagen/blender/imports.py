@@ -7,6 +7,7 @@ from pathlib import Path
 
 import bpy
 
+from datagen.blender.finite import require_finite
 from datagen.blender.freeze import FROZEN_INDEX, freeze_scene
 from datagen.blender.opaque import require_textures
 from datagen.errors import InputError
@@ -36,6 +37,7 @@ def read_and_freeze(path: Path, *, up_axis: str | None = None, frame: int | None
     if path.suffix.lower() == ".blend":
         _open_blend(path)
     else:
+        require_finite(path)
         bpy.ops.wm.read_factory_settings(use_empty=True)
         _import(path, up_axis)
     return freeze_scene(bpy.context.scene, source=path, frame=frame)

@@ -40,7 +40,7 @@ def measure(path: Path) -> dict[str, Any]:
     frozen = read_and_freeze(path)
     things = [thing for thing in frozen if isinstance(thing, bpy.types.Object)]
     corners = [
-        tuple(thing.matrix_world @ vertex.co)
+        tuple(thing.matrix_basis @ vertex.co)
         for thing in things
         if thing.type == "MESH"
         for vertex in thing.data.vertices

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from datagen.blender.imports import append_models
 from datagen.blender.materials import UV_SURFACE
+from datagen.blender.placement import place
 from datagen.blender.shapes import UV_METRES, UV_UNIT, shape_mesh
 from datagen.scene_spec.materials import MaterialSettings
 from datagen.scene_spec.objects import ObjectSettings, PartSettings
@@ -47,20 +48,9 @@ def add_object(
         for piece in pieces:
             piece.name = piece.data.name = name
             piece.pass_index = index
-            place(piece, world_from_part @ piece.matrix_world)
+            place(piece, world_from_part @ piece.matrix_basis)
             _dress(piece.data, part, materials, declared, grain_seed=zlib.crc32(name.encode()))
             _subdivide(piece, part.subdivision)
-
-
-def place(thing: bpy.types.Object, world_from_object: Matrix) -> None:
-    """Put an object where ``world_from_object`` takes it; its mesh is sheared where it must be."""
-    thing.matrix_world = world_from_object
-    achieved = thing.matrix_world.copy()
-    difference = np.abs(np.array(achieved) - np.array(world_from_object)).max()
-    if difference > 1e-5 * max(1.0, np.abs(np.array(world_from_object)).max()):
-        thing.data = thing.data.copy()
-        thing.data.transform(world_from_object)
-        thing.matrix_world = Matrix.Identity(4)
 
 
 def _placement(settings: PartSettings) -> Matrix:

@@ -14,7 +14,7 @@ PIECE = 1 << 20
 
 
 def locate_models(content: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Return a scene file's ``content`` with paths made absolute from ``folder`` and the models' SHA-256 set.
+    """Return a scene file's ``content`` with its models' paths made absolute from ``folder``, their SHA-256 set.
 
     Raises InputError where a file is missing, or is not the one that a given ``sha256`` identifies.
     """
@@ -25,9 +25,6 @@ def locate_models(content: dict[str, Any], folder: Path) -> dict[str, Any]:
         located["objects"] = [
             _located_object(entry, folder, f"objects[{i}]") for i, entry in enumerate(content["objects"])
         ]
-    trajectory = content.get("trajectory")
-    if isinstance(trajectory, dict) and isinstance(trajectory.get("file"), str):
-        located["trajectory"] = trajectory | {"file": str((folder / Path(trajectory["file"]).expanduser()).resolve())}
     return located
 
 
