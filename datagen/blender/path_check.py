@@ -40,13 +40,14 @@ def check_path(
     camera: PinholeCamera,
     *,
     clip_range: tuple[float, float],
+    names: Sequence[str] = (),
 ) -> None:
     """Raise InputError naming the frames in which the camera enters or touches an object, or loses its subject.
 
     ``path`` is world_from_camera (N, 4, 4), ``way`` how it gets from frame to frame, where that is known. Objects are
-    taken as they stand at Blender's current frame.
+    taken as they stand at Blender's current frame; those with a pass index from 1 on have their name from ``names``.
     """
-    boxes = [box for _, box in _surfaces()]
+    boxes = [box for _, box in _surfaces(names)]
     missing = sorted(set(settings.subject) - {box.name for box in boxes})
     if missing:
         there = ", ".join(sorted({box.name for box in boxes})) or "none"
@@ -54,7 +55,7 @@ def check_path(
     clearance = settings.clearance if settings.clearance is not None else _near_corner(camera, clip_range[0])
     seen = _range_of_all([box for box in boxes if box.name in settings.subject] or default_subjects(boxes, path))
     faults = []
-    for instance, box in _surfaces():
+    for instance, box in _surfaces(names):
         (low, high), positions = box.range_world, path[:, :3, 3]
         near = np.flatnonzero(((positions >= low - clearance) & (positions <= high + clearance)).all(axis=1))
         legs = _legs_near(way, low, high) if way is not None else []
@@ -69,7 +70,7 @@ def check_path(
         raise InputError(describe_faults(faults))
 
 
-def _surfaces() -> Iterator[tuple[bpy.types.DepsgraphObjectInstance, Box]]:
+def _surfaces(names: Sequence[str]) -> Iterator[tuple[bpy.types.DepsgraphObjectInstance, Box]]:
     """Yield what renders, and its bounding box; an instance is valid until the next one is asked for."""
     for instance in bpy.context.evaluated_depsgraph_get().object_instances:
         thing = instance.object
@@ -80,7 +81,9 @@ def _surfaces() -> Iterator[tuple[bpy.types.DepsgraphObjectInstance, Box]]:
         object_from_unit = np.diag([*size, 1.0])
         object_from_unit[:3, 3] = low
         world_from_unit = np.array(instance.matrix_world, dtype=np.float64) @ object_from_unit
-        yield instance, Box(name=thing.name, world_from_unit=world_from_unit)
+        # An object of several parts is several in Blender.
+        name = names[thing.pass_index - 1] if 1 <= thing.pass_index <= len(names) else thing.name
+        yield instance, Box(name=name, world_from_unit=world_from_unit)
 
 
 def _near_corner(camera: PinholeCamera, clip_start: float) -> float:

@@ -65,7 +65,9 @@ class RenderSession:
         require_within_limits(motion, self.path, frames_per_second=render.frames_per_second, seed=render.seed)
         if motion.check:
             way = way_between_frames(motion, render.frames, render.frames_per_second, render.seed)
-            check_path(self.path, way, motion, self.camera, clip_range=(camera.clip_start, camera.clip_end))
+            names = [settings.name for settings in self.spec.objects]
+            clip_range = (camera.clip_start, camera.clip_end)
+            check_path(self.path, way, motion, self.camera, clip_range=clip_range, names=names)
 
     def description(self) -> dict[str, Any]:
         """Return what the dataset's metadata needs to know from Blender, ready for JSON."""

@@ -109,6 +109,14 @@ def test_a_subject_that_leaves_the_image_is_named_with_its_frames(check):
         check(BALL, FLOOR, motion=motion, subject=["Floor", "Bal"])
 
 
+def test_an_object_of_parts_has_one_name(check):
+    parts = [{"shape": "cube", "material": "red", "scale": 0.2, "location": [x, 0, 0]} for x in (-0.5, 0.5)]
+    pair = {"name": "Pair", "parts": parts}
+    check(pair, FLOOR, subject="Pair")
+    with pytest.raises(InputError, match=r"the camera is inside 'Pair'"):
+        check(BALL, pair | {"location": [0, -1, 0]})
+
+
 def test_speed_limits_are_kept_even_where_nothing_else_is_checked(check):
     with pytest.raises(InputError, match=r"frames 1–10: the camera moves at up to 6 m/s.*render 61 frames"):
         check(limits={"max_speed": 1.0}, check=False)
