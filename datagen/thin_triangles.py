@@ -17,6 +17,8 @@ SINGLE_PRECISION = 2.0**-24
 LEAST_ASPECT = 20.0
 LEAST_ERROR_M = 1e-6
 """Triangles whose depth is surely better than this are left alone."""
+NEAREST_M = 1e-4
+"""The least clip_start that a scene can have."""
 SAFETY = 3.0
 """Depth that is farther off than so many times the estimate is that of another surface."""
 
@@ -35,19 +37,40 @@ def refine_depth(
 ) -> NDArray[np.float32]:
     """Return ``depth`` (H, W), planar metres, corrected where it is that of one of the triangles (K, 3, 3).
 
-    Triangles that reach behind the camera are left out.
+    Those seen from behind (clockwise) are left out: of a closed mesh they are hidden, maybe closely, by what was seen.
     """
     corners = transform_points(inverse(world_from_camera), corners_world)
-    corners = corners[(corners[:, :, 2] > 0).all(axis=1)]
-    pixels = camera.project(corners)
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    corners = corners[np.einsum("ij,ij->i", normals, corners[:, 0]) < 0]
+    triangle, pieces = _before_camera(corners)
+    pixels = camera.project(pieces)
     across = np.ptp(pixels[:, :, 0], axis=1) >= np.ptp(pixels[:, :, 1], axis=1)
     found = []
-    for along, triangles in ((0, np.flatnonzero(across)), (1, np.flatnonzero(~across))):
+    for along, chosen in ((0, np.flatnonzero(across)), (1, np.flatnonzero(~across))):
         sides = (camera.width, camera.height) if along == 0 else (camera.height, camera.width)
-        numbers, a, b = _covered(pixels[triangles][:, :, [along, 1 - along]], sides)
-        found.append((triangles[numbers], *((a, b) if along == 0 else (b, a))))
+        numbers, a, b = _covered(pixels[chosen][:, :, [along, 1 - along]], sides)
+        found.append((triangle[chosen][numbers], *((a, b) if along == 0 else (b, a))))
     number, u, v = (np.concatenate(parts) for parts in zip(*found, strict=True))
     return _corrected(depth, camera, corners, number, u, v)
+
+
+def _before_camera(corners: Array) -> tuple[NDArray[np.intp], Array]:
+    """Return triangles (M, 3, 3) that make up the part of ``corners`` (K, 3, 3) before the camera, and of which."""
+    before = corners[:, :, 2] >= NEAREST_M
+    whole = np.flatnonzero(before.all(axis=1))
+    owners, pieces = [whole], [corners[whole]]
+    for number in np.flatnonzero(before.any(axis=1) & ~before.all(axis=1)):
+        outline = []
+        for corner, following in zip(corners[number], np.roll(corners[number], -1, axis=0), strict=True):
+            if corner[2] >= NEAREST_M:
+                outline.append(corner)
+            if (corner[2] >= NEAREST_M) != (following[2] >= NEAREST_M):
+                share = (NEAREST_M - corner[2]) / (following[2] - corner[2])
+                outline.append(corner + share * (following - corner))
+        fan = [[outline[0], outline[i], outline[i + 1]] for i in range(1, len(outline) - 1)]
+        owners.append(np.full(len(fan), number))
+        pieces.append(np.array(fan))
+    return np.concatenate(owners), np.concatenate(pieces)
 
 
 def _covered(pixels: Array, sides: tuple[int, int]) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:

@@ -25,7 +25,7 @@ class CameraSettings(Spec):
 
     focal_length_mm: Annotated[float, Field(ge=1, le=5000)] | None = None
     field_of_view_deg: Annotated[float, Field(ge=0.1, le=179)] | None = None
-    intrinsics_px: tuple[Positive, Positive, float, float] | None = None
+    intrinsics_px: Annotated[tuple[Positive, Positive, float, float], Field(strict=False)] | None = None
     sensor_width_mm: float = Field(default=36.0, ge=1, le=1000)
     sensor_height_mm: float = Field(default=24.0, ge=1, le=1000)
     sensor_fit: Literal["horizontal", "vertical", "auto"] = "horizontal"
