@@ -1,10 +1,20 @@
 """The distorted lens through which colour and depth are shown besides."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import BeforeValidator
 
 from datagen.scene_spec.base import Spec
+
+
+def _is_magnification(value: Any) -> Any:
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if value != "cover" and not (is_number and 0.1 <= value <= 10):
+        raise ValueError('expected a number from 0.1 to 10, or "cover"')
+    return value
+
+
+Magnification = Annotated[float | Literal["cover"], BeforeValidator(_is_magnification)]
 
 
 class LensSettings(Spec):
@@ -24,4 +34,4 @@ class LensSettings(Spec):
     k4: float = 0.0
     k5: float = 0.0
     k6: float = 0.0
-    magnification: Annotated[float, Field(ge=0.1, le=10)] | Literal["cover"] = 1.0
+    magnification: Magnification = 1.0

@@ -184,6 +184,14 @@ def test_a_lens_is_added_recorded_and_replaced(folder, capsys):
     assert not np.array_equal(second.read_layer("distorted_depth", 2), expected)
 
 
+@pytest.mark.parametrize("magnification", ["20", "0.01", "nan"])
+def test_a_magnification_that_no_lens_has_is_refused_in_one_line(folder, magnification, capsys):
+    assert main(["lens", str(folder), "--magnification", magnification]) == 2
+    error = capsys.readouterr().err
+    assert f'magnification: expected a number from 0.1 to 10, or "cover", found {float(magnification)}' in error
+    assert error.count("\n") == 1
+
+
 def test_sensor_and_lens_keep_each_other(folder):
     add_sensor_depth(open_dataset(folder), KINECT)
     before = images(folder)
