@@ -7,7 +7,9 @@ baseline). RealSense D435: Intel, "Best-Known-Methods for Tuning Intel RealSense
 disparity error, focal length and baseline) and "Intel RealSense D400 Series Product Family Datasheet" (baseline,
 nearest depth, the band without depth at the left).
 
-What no source gives is chosen by eye and said to be so at its place: where returns begin to be lost.
+What no source gives is chosen by eye: the angles at which returns are lost and their share beside edges, for both; for
+the D435 also how far edges move and foreground grows. The D435's numbers are those of its own 848×480 pixels, whatever
+the rendered camera; only what is hidden and the band at the left follow the rendered camera's focal length.
 """
 
 from collections.abc import Callable, Mapping
@@ -49,7 +51,7 @@ class DepthSensor:
 
 
 def kinect_axial_sigma(z: Image, theta: Image) -> Image:
-    """Return σ_z = 0.0012 + 0.0019 (z − 0.4)², plus 0.0001/√z · θ²/(π/2 − θ)² from 60° on (Nguyen 2012, equation 2)."""
+    """Return σ_z = 0.0012 + 0.0019 (z − 0.4)², plus 0.0001/√z · θ²/(π/2 − θ)² from 60° on (Nguyen 2012)."""
     sigma = np.float32(0.0012) + np.float32(0.0019) * (z - np.float32(0.4)) ** 2
     steep = (theta >= np.float32(np.pi / 3)) & (z > 0)
     angle = np.minimum(theta[steep], LARGEST_ANGLE)
@@ -58,7 +60,7 @@ def kinect_axial_sigma(z: Image, theta: Image) -> Image:
 
 
 def kinect_lateral_sigma_px(theta: Image) -> Image:
-    """Return σ_L = 0.8 + 0.035 θ/(π/2 − θ) pixels (Nguyen 2012, equation 1)."""
+    """Return σ_L = 0.8 + 0.035 θ/(π/2 − θ) pixels (Nguyen 2012)."""
     angle = np.minimum(theta, LARGEST_ANGLE)
     return np.float32(0.8) + np.float32(0.035) * angle / (np.float32(np.pi / 2) - angle)
 

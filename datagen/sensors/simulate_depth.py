@@ -81,7 +81,7 @@ def simulate_depth(
 def quantised(depth: Image, inverse_depth_step: float) -> Image:
     """Return depth with 1/z rounded to whole multiples of ``inverse_depth_step`` (1/m), 0 where that is none.
 
-    Depths then lie inverse_depth_step·z² apart (Khoshelham 2012, equation 11).
+    Depths then lie inverse_depth_step·z² apart (Khoshelham 2012).
     """
     step = np.float32(inverse_depth_step)
     return inverse_depth(np.rint(inverse_depth(depth) / step) * step)
