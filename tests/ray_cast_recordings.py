@@ -12,6 +12,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from datagen.camera import PinholeCamera
+from datagen.dataset import Dataset, Part
 from datagen.dataset_check.ray_casting import MeshRays
 from datagen.dataset_format import FRAMES_FOLDER, GROUND_TRUTH_FILE, Intrinsics, Metadata, write_metadata
 from datagen.dataset_writer import write_frame
@@ -33,6 +34,18 @@ class Recording:
     poses: tuple[Matrix, ...]
     mesh: trimesh.Trimesh
     true_depth_scale: float
+
+    def in_memory(self, mesh: Path | None) -> "MemoryDataset":
+        """The dataset that ``write`` would make, without the files; ``mesh`` is a file of the ground truth."""
+        return MemoryDataset(
+            folder=Path("in memory"),
+            format_name="memory",
+            frames=dict.fromkeys(range(len(self.poses))),
+            camera=self.camera,
+            depth_scale=self.depth_scale,
+            ground_truth_mesh=mesh,
+            recording=self,
+        )
 
     def write(self, folder: Path, *, with_mesh: bool) -> Path:
         for i, (color, depth, pose) in enumerate(zip(self.colors, self.depths, self.poses, strict=True)):
@@ -62,6 +75,26 @@ class Recording:
             provenance={},
         )
         write_metadata(folder, metadata)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MemoryDataset(Dataset):
+    """A recording that is a dataset without having been written."""
+
+    recording: Recording
+
+    def color(self, frame_id: int) -> NDArray[np.uint8]:
+        return self.recording.colors[frame_id]
+
+    def depth(self, frame_id: int) -> NDArray[np.float32]:
+        steps = np.rint(self.recording.depths[frame_id].astype(np.float64) / self.recording.true_depth_scale)
+        return steps.astype(np.float32) * np.float32(self.depth_scale)
+
+    def world_from_camera(self, frame_id: int) -> Matrix:
+        return self.recording.poses[frame_id]
+
+    def has(self, frame_id: int, part: Part) -> bool:  # noqa: ARG002
+        return True
 
 
 # --- scenes -----------------------------------------------------------------------------------------------------------

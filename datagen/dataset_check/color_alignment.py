@@ -103,13 +103,14 @@ def measure_color_alignment(
 
 
 def _best_offset(frames: list[list[_Edges]], *, zoom: float, most_lost: int = MOST_LOST_PX) -> ColorAlignment:
-    stack = np.array([_scores(edges, zoom, most_lost) for edges in frames])
-    reach = stack.shape[-1] // 2
-    mean = stack.mean(axis=0)
-    lost, row, column = (int(i) for i in np.unravel_index(int(mean.argmax()), mean.shape))
-    lead = stack[:, lost, row, column] - stack[:, lost, reach, reach]
+    sums = np.array([[_scores(each, zoom, most_lost) for each in edges] for edges in frames])
+    counts = np.array([[max(each.rows.size, 1) for each in edges] for edges in frames])
+    combined = _combined(sums.sum(axis=0), counts.sum(axis=0))
+    lost, row, column = (int(i) for i in np.unravel_index(int(combined.argmax()), combined.shape))
+    reach = combined.shape[-1] // 2
+    lead = (sums[:, :, lost, row, column] - sums[:, :, lost, reach, reach]).sum(axis=1) / counts.sum(axis=1)
     error = float(lead.std(ddof=1)) / np.sqrt(len(lead))
-    best = mean[lost]
+    best = combined[lost]
     return ColorAlignment(
         offset_px=(_peak(best[row], column) - reach, _peak(best[:, column], row) - reach),
         zoom=zoom,
@@ -119,6 +120,20 @@ def _best_offset(frames: list[list[_Edges]], *, zoom: float, most_lost: int = MO
         frames=len(frames),
         edges=sum(each.rows.size for edges in frames for each in edges),
     )
+
+
+def _combined(sums: NDArray[np.float64], counts: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return one score (lost, rows, columns) from those of the four kinds of edges: two axes, two senses.
+
+    Of the two senses the worse one counts: an offset must bring a surface's left and right edges to colour's both.
+    """
+    scores = sums / counts[:, None, None, None]
+    axes = []
+    for first, second in ((0, 1), (2, 3)):
+        senses = [i for i in (first, second) if counts[i] >= LEAST_EDGES]
+        if senses:
+            axes.append(scores[senses].min(axis=0))
+    return np.mean(axes, axis=0) if axes else np.zeros_like(scores[0])
 
 
 def _frame_edges(color: NDArray[np.uint8], depth: NDArray[np.float32], rng: np.random.Generator) -> list[_Edges]:
@@ -140,25 +155,23 @@ def _frame_edges(color: NDArray[np.uint8], depth: NDArray[np.float32], rng: np.r
     return found
 
 
-def _scores(edges: list[_Edges], zoom: float, most_lost: int) -> NDArray[np.float64]:
-    """Return mean scores (lost pixels, offset rows, offset columns) of one frame's edges; rows first."""
-    reach = _reach(edges[0].across_color.shape[1])
+def _scores(each: _Edges, zoom: float, most_lost: int) -> NDArray[np.float64]:
+    """Return summed scores (lost pixels, offset rows, offset columns) of one frame's edges of one kind."""
+    height, width = each.across_color.shape
+    reach = _reach(width)
     size = 2 * reach + 1
-    scores, count = np.zeros((most_lost + 1, size, size)), 0
-    for each in edges:
-        height, width = each.across_color.shape
-        windows = np.lib.stride_tricks.sliding_window_view(each.across_color, (size, size))
-        # Windows begin ``reach`` before their middle.
-        rows = np.rint((height - 1) / 2 + zoom * (each.rows - (height - 1) / 2)).astype(np.int64) - reach
-        columns = np.rint((width - 1) / 2 + zoom * (each.columns - (width - 1) / 2)).astype(np.int64) - reach
-        inside = (rows >= most_lost) & (rows < windows.shape[0] - most_lost)
-        inside &= (columns >= most_lost) & (columns < windows.shape[1] - most_lost)
-        rows, columns = rows[inside], columns[inside]
-        count += rows.size
-        for lost in range(most_lost + 1 if rows.size else 0):
-            move = (lost * each.outwards, 0) if each.axis == 0 else (0, lost * each.outwards)
-            scores[lost] += windows[rows + move[0], columns + move[1]].sum(axis=0)
-    return scores / max(count, 1)
+    scores = np.zeros((most_lost + 1, size, size))
+    windows = np.lib.stride_tricks.sliding_window_view(each.across_color, (size, size))
+    # Windows begin ``reach`` before their middle.
+    rows = np.rint((height - 1) / 2 + zoom * (each.rows - (height - 1) / 2)).astype(np.int64) - reach
+    columns = np.rint((width - 1) / 2 + zoom * (each.columns - (width - 1) / 2)).astype(np.int64) - reach
+    inside = (rows >= most_lost) & (rows < windows.shape[0] - most_lost)
+    inside &= (columns >= most_lost) & (columns < windows.shape[1] - most_lost)
+    rows, columns = rows[inside], columns[inside]
+    for lost in range(most_lost + 1 if rows.size else 0):
+        move = (lost * each.outwards, 0) if each.axis == 0 else (0, lost * each.outwards)
+        scores[lost] = windows[rows + move[0], columns + move[1]].sum(axis=0)
+    return scores
 
 
 def _reach(width: int) -> int:

@@ -72,5 +72,5 @@ class Correction:
         )
 
 
-PARAMETERS = {"cx": 0.2, "cy": 0.2, "log_f": 0.002, "log_fx": 0.002, "log_fy": 0.002, "log_depth": 0.002}
+PARAMETERS = {"cx": 0.1, "cy": 0.1, "log_f": 0.001, "log_fx": 0.001, "log_fy": 0.001, "log_depth": 0.001}
 """Continuous parameters and the steps for their numeric derivatives: pixels, and logarithms of factors."""

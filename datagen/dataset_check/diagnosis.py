@@ -10,10 +10,13 @@ from datagen.dataset_check.fitting import Judge, mean_cost
 from datagen.dataset_check.hypotheses import FITTED, Hypothesis, hypotheses
 from datagen.dataset_check.residuals import Residuals
 
-COARSE = 4
-"""The first look takes every fourth sample."""
+COARSE, FINE = 8, 4
+"""The first look takes every eighth sample, the first fit every fourth."""
 
-FINALISTS = 4
+FINALISTS, FINAL_ITERATIONS = 3, 3
+WITHIN_REACH = 3.0
+"""A hypothesis that is so much worse than the best, before its size is fitted, need not be."""
+
 LEAST_GAIN = 0.25
 """A fault must lower the mean cost by this much: about what halving every residual does (log 4 would be all of it)."""
 
@@ -73,10 +76,11 @@ def compare(judge: Judge, base: Correction, *, frames: int) -> Verdict:
         if cost < coarse.get(hypothesis.kind, (np.inf,))[0]:
             coarse[hypothesis.kind] = cost, hypothesis
     polished = []
+    least = min(cost for cost, _ in coarse.values())
     for kind, (cost, hypothesis) in coarse.items():
         correction = hypothesis.correction
-        if kind in FITTED:
-            correction = judge.fit(correction, FITTED[kind], every=COARSE)
+        if kind in FITTED and cost < least + WITHIN_REACH:
+            correction = judge.fit(correction, FITTED[kind], every=FINE)
             cost = judge.cost(correction, every=COARSE)  # noqa: PLW2901
         polished.append((cost, kind, correction))
     polished.sort(key=lambda entry: entry[0])
@@ -86,7 +90,7 @@ def compare(judge: Judge, base: Correction, *, frames: int) -> Verdict:
 
 def _judged(judge: Judge, kind: str, correction: Correction) -> Judged:
     if kind in FITTED:
-        correction = judge.fit(correction, FITTED[kind])
+        correction = judge.fit(correction, FITTED[kind], iterations=FINAL_ITERATIONS)
     residuals = judge.residuals(correction)
     return Judged(kind=kind, correction=correction, residuals=residuals, cost=mean_cost(residuals))
 

@@ -1,13 +1,13 @@
 """Fitting the continuous parameters of a correction: robust Gauss-Newton with numeric derivatives."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datagen.dataset_check.correction import PARAMETERS, Correction
 from datagen.dataset_check.residuals import Evidence, Residuals, stacked
 
-ITERATIONS = 12
-CONVERGED = 0.02
+ITERATIONS = 10
+LEAST_SAMPLES = 50
+CONVERGED = 0.05
 """A step of so small a share of the steps for the derivatives ends the fit."""
 
 
@@ -25,34 +25,35 @@ class Judge:
         """Return the mean cost of a sample, infinite where no block has poses."""
         return mean_cost(self.residuals(correction, every=every), sigma_factor)
 
-    def fit(self, start: Correction, names: tuple[str, ...], *, every: int = 1) -> Correction:
+    def fit(
+        self, start: Correction, names: tuple[str, ...], *, every: int = 1, iterations: int = ITERATIONS
+    ) -> Correction:
         """Return ``start`` with the named parameters moved to the least robust sum of squares nearby."""
-        current = start
-        for _ in range(ITERATIONS):
-            step = self._step(current, names, every)
-            if step is None:
+        current, residuals = start, self.residuals(start, every=every)
+        for _ in range(iterations):
+            step = self._step(current, residuals, names, every)
+            walked = self._walk(current, residuals, step, every) if step else None
+            if walked is None:
                 break
-            moved = self._walk(current, dict(zip(names, step, strict=True)), every)
-            if moved is None:
-                break
-            current = moved
-            if max(abs(value) / PARAMETERS[name] for name, value in zip(names, step, strict=True)) < CONVERGED:
+            current, residuals = walked
+            if max(abs(value) / PARAMETERS[name] for name, value in step.items()) < CONVERGED:
                 break
         return current
 
-    def _step(self, at: Correction, names: tuple[str, ...], every: int) -> NDArray[np.float64] | None:
-        """Return the Gauss-Newton step: iteratively reweighted, with the residuals' own spread as their scale."""
-        residual = self.residuals(at, every=every).normalised
+    def _step(self, at: Correction, here: Residuals, names: tuple[str, ...], every: int) -> dict[str, float]:
+        """Return the Gauss-Newton step: iteratively reweighted, with the residuals' own spread as their scale.
+
+        Empty where the samples do not determine it.
+        """
         columns = []
         for name in names:
-            ahead = self.residuals(at.moved({name: PARAMETERS[name]}), every=every).normalised
-            behind = self.residuals(at.moved({name: -PARAMETERS[name]}), every=every).normalised
-            columns.append((ahead - behind) / (2 * PARAMETERS[name]))
+            ahead = self.residuals(at.moved({name: PARAMETERS[name]}), every=every)
+            columns.append((ahead.normalised - here.normalised) / PARAMETERS[name])
         jacobian = np.stack(columns, axis=-1)
-        usable = np.isfinite(residual) & np.isfinite(jacobian).all(axis=-1)
-        if usable.sum() < 50:
-            return None
-        e, jacobian = residual[usable], jacobian[usable]
+        usable = np.isfinite(here.normalised) & np.isfinite(jacobian).all(axis=-1)
+        if usable.sum() < LEAST_SAMPLES:
+            return {}
+        e, jacobian = here.normalised[usable], jacobian[usable]
         spread = max(1.0, 1.4826 * float(np.median(np.abs(e))))
         weights = 1 / (1 + (e / spread) ** 2) ** 2
         # A derivative that spans an edge is no derivative.
@@ -60,19 +61,22 @@ class Judge:
         normal = jacobian.T @ (weights[:, None] * jacobian)
         scale = np.sqrt(np.diag(normal))
         if not (scale > 0).all():
-            return None
+            return {}
         normal = normal / np.outer(scale, scale)
         if np.linalg.cond(normal) > 1e8:
-            return None
-        return -np.linalg.solve(normal, jacobian.T @ (weights * e) / scale) / scale
+            return {}
+        step = -np.linalg.solve(normal, jacobian.T @ (weights * e) / scale) / scale
+        return {name: float(np.clip(value, *_LONGEST[name])) for name, value in zip(names, step, strict=True)}
 
-    def _walk(self, at: Correction, step: dict[str, float], every: int) -> Correction | None:
-        """Return the correction after the longest of some shares of a step that lowers the cost."""
-        reference = self.residuals(at, every=every)
+    def _walk(
+        self, at: Correction, here: Residuals, step: dict[str, float], every: int
+    ) -> tuple[Correction, Residuals] | None:
+        """Return the correction after the longest of some shares of a step that lowers the residuals, and those."""
         for share in (1.0, 0.5, 0.2):
-            moved = at.moved({name: float(np.clip(share * value, *_LONGEST[name])) for name, value in step.items()})
-            if _is_closer(self.residuals(moved, every=every), reference):
-                return moved
+            moved = at.moved({name: share * value for name, value in step.items()})
+            there = self.residuals(moved, every=every)
+            if _is_closer(there, here):
+                return moved, there
         return None
 
 
@@ -89,7 +93,7 @@ def mean_cost(residuals: Residuals, sigma_factor: float = 1.0) -> float:
 def _is_closer(trial: Residuals, reference: Residuals) -> bool:
     """Tell whether the samples that meet a surface in both do so better, so that the image's border does not count."""
     both = np.isfinite(trial.normalised) & np.isfinite(reference.normalised)
-    if both.sum() < 50:
+    if both.sum() < LEAST_SAMPLES:
         return False
     new, old = np.abs(trial.normalised[both]), np.abs(reference.normalised[both])
     sigma = max(1.0, 0.5 * float(np.median(old)))

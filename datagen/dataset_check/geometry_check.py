@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 
 from datagen.dataset import Dataset
+from datagen.dataset_check.blind_spots import BLIND_SPOT_NAMES, blind_spots
 from datagen.dataset_check.correction import Correction
 from datagen.dataset_check.depth_noise import measure_depth_noise
 from datagen.dataset_check.diagnosis import LEAST_GAIN, Verdict, compare
-from datagen.dataset_check.blind_spots import BLIND_SPOT_NAMES, blind_spots
 from datagen.dataset_check.explanation import FAULT_NAMES, findings_of
-from datagen.dataset_check.findings import CANNOT_TELL, Finding
+from datagen.dataset_check.findings import AMBIGUOUS, CANNOT_TELL, Finding
 from datagen.dataset_check.fitting import Judge
 from datagen.dataset_check.frame_facts import FrameFacts
 from datagen.dataset_check.mesh_evidence import MeshEvidence
@@ -24,7 +24,7 @@ from datagen.dataset_check.wording import length
 from datagen.errors import InputError
 
 ANCHORS = 12
-SAMPLES = 400
+SAMPLES = 256
 MOST_FAULTS = 3
 LEAST_AGREEMENT = 0.35
 """Share of the samples that meet a surface whose depth must be about right for frames to belong together."""
@@ -116,11 +116,16 @@ def _rounds(judge: Judge, dataset: Dataset, *, frames: int) -> tuple[Verdict, li
         found = findings_of(judge, verdict, dataset.camera, "fault")
         findings += found
         base = verdict.best.correction
-        if any(finding.kind == "ambiguous" for finding in found):
+        if any(finding.kind == AMBIGUOUS for finding in found) or _is_explained(judge, base):
             return verdict, findings
     if not findings and verdict.is_notable:
         findings += findings_of(judge, verdict, dataset.camera, "note")
     return verdict, findings
+
+
+def _is_explained(judge: Judge, correction: Correction) -> bool:
+    """Tell whether what a correction leaves is noise, so that there is no need to look for another fault."""
+    return all(each.residuals(correction).median_sigmas < 1 for each in judge.evidence)
 
 
 def _unexplained(judge: Judge, verdict: Verdict) -> list[Finding]:
@@ -171,8 +176,8 @@ def _blindness(judge: Judge, verdict: Verdict, *, has_mesh: bool) -> list[Findin
         Finding(
             kind=CANNOT_TELL,
             severity="note",
-            message=f"These frames {'and the mesh ' if has_mesh else ''}would hardly show: {names}. That these are right "
-            "is not confirmed.",
+            message=f"These frames {'and the mesh ' if has_mesh else ''}would hardly show: {names}. "
+            "That they are right is not confirmed.",
             remedy="Views with more relief, of a camera that turns and moves unevenly"
             + ("." if has_mesh else ", or a ground-truth mesh, would tell."),
             evidence={"kinds": kinds},

@@ -47,6 +47,12 @@ class Residuals:
         return float(np.median(met)) if met.size else float("nan")
 
     @property
+    def median_sigmas(self) -> float:
+        """Median size of the residuals that meet a surface, in standard deviations of the noise; infinite for none."""
+        met = np.abs(self.normalised[np.isfinite(self.normalised)])
+        return float(np.median(met)) if met.size else float("inf")
+
+    @property
     def agreement(self) -> float:
         """Share of the samples that meet a surface whose depth is within ``AGREEING`` of what was seen."""
         met = np.isfinite(self.metres)
