@@ -163,11 +163,18 @@ def _bezier(time: Array, right: Array, left: Array, width: float) -> tuple[Array
         shorten = 1 / max(reach, 1.0)
         reaches.append(reach * shorten)
         additions.append(offset[1] * shorten)
+    u = _parameter_at(time, *reaches)
+    first, second, third = 3 * u * (1 - u) ** 2, 3 * u**2 * (1 - u), u**3
+    return second + third, first * additions[0] + second * additions[1]
+
+
+def _parameter_at(time: Array, first_reach: float, second_reach: float) -> Array:
+    """Return the parameters (N,) at which a Bézier curve whose handles reach so far comes to ``time`` (N,)."""
+    if np.allclose([first_reach, second_reach], 1 / 3, rtol=0, atol=1e-12):
+        return time  # automatic handles: the parameter is time itself
     low, high = np.zeros_like(time), np.ones_like(time)
     for _ in range(BISECTIONS):
         u = (low + high) / 2
-        early = 3 * u * (1 - u) ** 2 * reaches[0] + 3 * u**2 * (1 - u) * (1 - reaches[1]) + u**3 < time
+        early = 3 * u * (1 - u) ** 2 * first_reach + 3 * u**2 * (1 - u) * (1 - second_reach) + u**3 < time
         low, high = np.where(early, u, low), np.where(early, high, u)
-    u = (low + high) / 2
-    first, second, third = 3 * u * (1 - u) ** 2, 3 * u**2 * (1 - u), u**3
-    return second + third, first * additions[0] + second * additions[1]
+    return (low + high) / 2
