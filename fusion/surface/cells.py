@@ -282,7 +282,14 @@ def find_cells(
     else:
         launch(_find_neighbours, layers, [table.blocks, table.keys, table.numbers])
     launch(_find_states, lanes * layers, [lanes, apart, volume.voxels, min_weight])
-    launch(_find_active_cells, layers, [])
-    launch(_find_edges, layers, [triangle_counts])
-    array_scan(cells.starts, cells.starts, inclusive=False)
+    find_crossings(cells, triangle_counts)
     return cells
+
+
+def find_crossings(cells: Cells, triangle_counts: wp.array) -> None:
+    """Find the active cells and the crossed edges (``cells.active``, ``edges``, ``starts``) from what is inside."""
+    device, layers = cells.inside.device, len(cells.inside)
+    launch_over_layers(_find_active_cells, dim=layers, inputs=[], outputs=[cells], device=device)
+    launch_over_layers(_find_edges, dim=layers, inputs=[triangle_counts], outputs=[cells], device=device)
+    cells.starts[layers:].zero_()
+    array_scan(cells.starts, cells.starts, inclusive=False)

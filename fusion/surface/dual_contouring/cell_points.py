@@ -14,27 +14,20 @@ from fusion.devices import launch_in_slabs
 from fusion.surface.dual_contouring.cell_table import NO_VERTEX, CellTables, cell_tables
 from fusion.surface.dual_contouring.dual_grid import Counts, DualGrid, curve_number, place_of
 from fusion.surface.dual_contouring.face_points import face_u, face_v
-from fusion.surface.dual_contouring.qef import (
-    INSET,
-    Planes,
-    kept_within,
-    nearest_to_planes,
-    with_plane,
-)
-from fusion.surface.layers import number_of, step_along, vertex_number, voxel_of
-from fusion.volume.trilinear import Corners, gradient_of_terms, trilinear_terms
+from fusion.surface.dual_contouring.qef import INSET, QEF_IN_CPP
+from fusion.surface.layers import case_of, corners_on, number_of, step_along, vertex_number
 from fusion.volume.tsdf_volume import Volume
-from fusion.volume.voxel_average import average_of
 from fusion.volume.voxels import Voxels
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-_NO_VERTEX = wp.constant(NO_VERTEX)
-_LOWEST = wp.constant(INSET)
-_HIGHEST = wp.constant(1.0 - INSET)
 _SMALLEST_CROSS = wp.constant(1.0e-8)
 
-Axes: Any = wp.types.vector(length=8, dtype=float)
+Corners: Any = wp.types.matrix(shape=(8, 5), dtype=float)
+"""Of each corner of a cell the average distance, the average colour's RGB, and 1 where it has one, else 0."""
+
+EdgePlanes: Any = wp.types.matrix(shape=(12, 4), dtype=float)
+"""For each edge of a cell how far along it is crossed, in voxels, and a normal of the surface there, of any length."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,42 +48,195 @@ class Vertices:
         )
 
 
-@wp.struct
-class CellCorners:
-    """What the corners of a cell hold: average distances, colours, and 1 where a corner has a colour, else 0."""
+_CORNERS_IN_CPP = """
+    wp::mat_t<8, 5, float> corners;
+    const bool packed = voxels.packed.shape[0] > 0;
+    const bool numbered = grid.cells.numbers.shape[0] > 0;
+    for (int corner = 0; corner < 8; ++corner) {
+        const int cx = x + (corner & 1), cy = y + ((corner >> 1) & 1), cz = z + (corner >> 2);
+        const int holder = grid.cells.upper.data[8 * slot + ((cx >> 3) | ((cy >> 3) << 1) | ((cz >> 3) << 2))];
+        const int number = numbered ? grid.cells.numbers.data[holder] : holder;
+        const size_t voxel = 512 * (size_t)number + (cz & 7) * 64 + (cy & 7) * 8 + (cx & 7);
+        float *held = corners.data[corner];
+        if (packed) {
+            const wp::uint64 bits = voxels.packed.data[voxel];
+            held[0] = (float)(short)(bits & 0xffff) * (1.0f / 32767.0f);
+            for (int i = 0; i < 3; ++i) held[1 + i] = (float)((bits >> (32 + 8 * i)) & 255);
+            held[4] = bits >> 56 ? 1.0f : 0.0f;
+        } else {
+            held[0] = voxels.distance_sum.data[voxel] / voxels.weight.data[voxel];
+            const float color_weight = voxels.color_weight.data[voxel];
+            const float inverse = color_weight > 0.0f ? 1.0f / color_weight : 0.0f;
+            for (int i = 0; i < 3; ++i) held[1 + i] = inverse * voxels.color_sum.data[voxel].c[i];
+            held[4] = color_weight > 0.0f ? 1.0f : 0.0f;
+        }
+    }
+    return corners;
+"""
 
-    distances: Corners
-    red: Corners
-    green: Corners
-    blue: Corners
-    colored: Corners
+
+@wp.func_native(_CORNERS_IN_CPP)
+def corners_of(voxels: Voxels, grid: DualGrid, slot: int, x: int, y: int, z: int) -> Corners:
+    """Return what the corners of a cell hold; all were seen."""
+
+
+# Terms of 1, x, y, xy, z, xz, yz, xyz, as in ``fusion.volume.trilinear``.
+_TRILINEAR_IN_CPP = f"constexpr float LOWEST = {INSET}f, HIGHEST = 1.0f - {INSET}f;" + """
+    wp::mat_t<12, 4, float> planes;
+    float v[8], k[8];
+    for (int i = 0; i < 8; ++i) v[i] = corners.data[i][0];
+    k[1] = v[1] - v[0]; k[2] = v[2] - v[0]; k[4] = v[4] - v[0];
+    k[3] = v[3] - v[2] - v[1] + v[0]; k[5] = v[5] - v[4] - v[1] + v[0]; k[6] = v[6] - v[4] - v[2] + v[0];
+    k[7] = (v[7] - v[6] - v[5] + v[4]) - (v[3] - v[2] - v[1] + v[0]);
+    for (int edge = 0; edge < 12; ++edge) {
+        const int axis = edge >> 2, i = edge & 3;
+        const int low = axis == 0 ? i << 1 : axis == 1 ? (i & 1) | ((i & 2) << 1) : i;
+        const float a = v[low], b = v[low + (1 << axis)];
+        if ((a < 0.0f) == (b < 0.0f)) continue;
+        float along = a / (a - b);
+        along = along < LOWEST ? LOWEST : along > HIGHEST ? HIGHEST : along;
+        float p[3] = {(float)(low & 1), (float)((low >> 1) & 1), (float)(low >> 2)};
+        p[axis] = along;
+        planes.data[edge][0] = along;
+        planes.data[edge][1] = k[1] + k[3] * p[1] + k[5] * p[2] + k[7] * p[1] * p[2];
+        planes.data[edge][2] = k[2] + k[3] * p[0] + k[6] * p[2] + k[7] * p[0] * p[2];
+        planes.data[edge][3] = k[4] + k[5] * p[0] + k[6] * p[1] + k[7] * p[0] * p[1];
+    }
+    return planes;
+"""
+
+
+@wp.func_native(_TRILINEAR_IN_CPP)
+def trilinear_planes(corners: Corners) -> EdgePlanes:
+    """Return where the trilinear field crosses a cell's edges, and its gradients there."""
+
+
+_SOLVE_IN_CPP = f"constexpr int NO_VERTEX = {NO_VERTEX};" + QEF_IN_CPP + """
+    const int *ends = tables.ends.data + 5 * pattern;
+    const int *edges = tables.edges.data + 12 * pattern;
+    const int loops = tables.loop_counts.data[pattern];
+    const int first = grid.vertex_starts.data[cell];
+    const wp::uint64 code = grid.codes.data[cell];
+    for (int loop = 0; loop < loops; ++loop) {
+        Planes all;
+        float color[3] = {0.0f}, colored = 0.0f;
+        for (int i = ends[loop]; i < ends[loop + 1]; ++i) {
+            const int edge = edges[i], axis = edge >> 2, k = edge & 3;
+            const int low = axis == 0 ? k << 1 : axis == 1 ? (k & 1) | ((k & 2) << 1) : k;
+            const float *plane = planes.data[edge], along = plane[0];
+            float p[3] = {(float)(low & 1), (float)((low >> 1) & 1), (float)(low >> 2)};
+            p[axis] = along;
+            add_plane(all, p, plane[1], plane[2], plane[3]);
+            // Between the edge's ends, one without colour left out.
+            const float *a = corners.data[low], *b = corners.data[low + (1 << axis)];
+            const float share_a = (1.0f - along) * a[4], share_b = along * b[4], share = share_a + share_b;
+            if (share > 0.0f) {
+                for (int channel = 0; channel < 3; ++channel)
+                    color[channel] += (share_a * a[1 + channel] + share_b * b[1 + channel]) / share;
+                colored += 1.0f;
+            }
+        }
+        float place[3];
+        if (loops == 1) {
+            nearest_to_planes(all, place);
+        } else {
+            for (int i = 0; i < 3; ++i) place[i] = within(all.points[i] / all.count);
+        }
+        const float *n = all.normal, size = sqrtf(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]);
+        const float inverse = size > 0.0f ? 1.0f / size : 0.0f, scale = colored > 0.0f ? 1.0f / colored : 0.0f;
+        int written = -1;
+        // One vertex a loop, but for cells at the border of what was observed.
+        for (int i = ends[loop]; i < ends[loop + 1]; ++i) {
+            const int own = (int)(code >> 4 * edges[i]) & 15;
+            if (own == NO_VERTEX || own == written) continue;
+            written = own;
+            const int vertex = first + own;
+            places.data[vertex] = wp::vec3(place[0], place[1], place[2]);
+            points.data[vertex] = wp::vec3(voxel_size * (x + place[0]), voxel_size * (y + place[1]),
+                                           voxel_size * (z + place[2]));
+            normals.data[vertex] = wp::vec3(inverse * n[0], inverse * n[1], inverse * n[2]);
+            for (int channel = 0; channel < 3; ++channel)
+                colors.data[vertex].c[channel] = (unsigned char)(scale * color[channel] + 0.5f);
+        }
+    }
+"""
+
+
+@wp.func_native(_SOLVE_IN_CPP)
+def solve_loops(
+    grid: DualGrid,
+    tables: CellTables,
+    cell: int,
+    pattern: int,
+    corners: Corners,
+    planes: EdgePlanes,
+    x: float,
+    y: float,
+    z: float,
+    voxel_size: float,
+    places: wp.array(dtype=wp.vec3),
+    points: wp.array(dtype=wp.vec3),
+    colors: wp.array(dtype=wp.vec3ub),
+    normals: wp.array(dtype=wp.vec3),
+) -> None:
+    """Write the vertices of a cell, whose lowest corner is (x, y, z) on the lattice."""
 
 
 @wp.func
-def corners_of(voxels: Voxels, grid: DualGrid, slot: int, cell: wp.vec3i) -> CellCorners:
-    """Return what the corners of a cell hold."""
-    corners = CellCorners()
-    for corner in range(8):
-        x = cell[0] + (corner & 1)
-        y = cell[1] + ((corner >> 1) & 1)
-        z = cell[2] + (corner >> 2)
-        average = average_of(voxels, voxel_of(grid.cells, slot, x, y, z))
-        corners.distances[corner] = average[0]
-        corners.red[corner] = average[1]
-        corners.green[corner] = average[2]
-        corners.blue[corner] = average[3]
-        corners.colored[corner] = wp.where(average[4] > 0.0, 1.0, 0.0)
-    return corners
+def pattern_of_cell(grid: DualGrid, at: int) -> int:
+    """Return the sign pattern of the cell at 64·layer + bit."""
+    slot = at >> 9
+    z = (at >> 6) & 7
+    low = corners_on(grid.cells.inside, grid.cells.upper, slot, z)
+    high = corners_on(grid.cells.inside, grid.cells.upper, slot, z + 1)
+    return case_of(low, high, at & 63)
 
 
 @wp.func
-def case_of_corners(corners: CellCorners) -> int:
-    """Return a cell's sign pattern."""
-    case = int(0)
+def pattern_of_corners(corners: Corners) -> int:
+    """Return the sign pattern of a cell whose signs are the volume's."""
+    pattern = int(0)
     for corner in range(8):
-        if corners.distances[corner] < 0.0:
-            case |= 1 << corner
-    return case
+        if corners[corner, 0] < 0.0:
+            pattern |= 1 << corner
+    return pattern
+
+
+@wp.kernel
+def _solve_cells(
+    first: int,
+    grid: DualGrid,
+    tables: CellTables,
+    blocks: wp.array(dtype=wp.vec3i),
+    voxels: Voxels,
+    voxel_size: float,
+    places: wp.array(dtype=wp.vec3),
+    points: wp.array(dtype=wp.vec3),
+    colors: wp.array(dtype=wp.vec3ub),
+    normals: wp.array(dtype=wp.vec3),
+) -> None:
+    cell = wp.tid() + first
+    at = grid.cell_at[cell]
+    slot = at >> 9
+    local = wp.vec3i(at & 7, (at >> 3) & 7, (at >> 6) & 7)
+    corners = corners_of(voxels, grid, slot, local[0], local[1], local[2])
+    corner = 8 * blocks[number_of(grid.cells, slot)] + local
+    solve_loops(
+        grid,
+        tables,
+        cell,
+        pattern_of_corners(corners),
+        corners,
+        trilinear_planes(corners),
+        float(corner[0]),
+        float(corner[1]),
+        float(corner[2]),
+        voxel_size,
+        places,
+        points,
+        colors,
+        normals,
+    )
 
 
 @wp.func
@@ -111,104 +257,6 @@ def point_along(edge: int, along: float) -> wp.vec3:
     point = wp.vec3(float(low & 1), float((low >> 1) & 1), float(low >> 2))
     point[edge >> 2] = along
     return point
-
-
-@wp.func
-def color_at(corners: CellCorners, edge: int, along: float) -> wp.vec4:
-    """Return the colour along an edge between corners that have one, and 1; 0 where neither has."""
-    low = low_corner(edge)
-    high = low + (1 << (edge >> 2))
-    share_low = (1.0 - along) * corners.colored[low]
-    share_high = along * corners.colored[high]
-    share = share_low + share_high
-    if share == 0.0:
-        return wp.vec4()
-    return wp.vec4(
-        (share_low * corners.red[low] + share_high * corners.red[high]) / share,
-        (share_low * corners.green[low] + share_high * corners.green[high]) / share,
-        (share_low * corners.blue[low] + share_high * corners.blue[high]) / share,
-        1.0,
-    )
-
-
-@wp.func
-def as_bytes(sum: wp.vec4) -> wp.vec3ub:  # noqa: A002
-    """Return the average of a sum of colours and their count; black where there are none."""
-    scale = 1.0 / wp.max(sum[3], 1.0)
-    return wp.vec3ub(
-        wp.uint8(scale * sum[0] + 0.5), wp.uint8(scale * sum[1] + 0.5), wp.uint8(scale * sum[2] + 0.5)
-    )
-
-
-@wp.func
-def set_vertices(
-    grid: DualGrid,
-    tables: CellTables,
-    cell: int,
-    corner: wp.vec3i,
-    case: int,
-    loop: int,
-    planes: Planes,
-    color: wp.vec4,
-    voxel_size: float,
-    places: wp.array(dtype=wp.vec3),
-    points: wp.array(dtype=wp.vec3),
-    colors: wp.array(dtype=wp.vec3ub),
-    normals: wp.array(dtype=wp.vec3),
-) -> None:
-    """Write the vertices of a loop: one, but for cells at the border of what was observed."""
-    place = planes.points / planes.count
-    if tables.loop_counts[case] == 1:
-        place = nearest_to_planes(planes)
-    place = kept_within(place)
-    normal = wp.normalize(planes.normals)
-    written = int(-1)
-    for i in range(tables.ends[case, loop], tables.ends[case, loop + 1]):
-        own = int((grid.codes[cell] >> wp.uint64(4 * tables.edges[case, i])) & wp.uint64(15))
-        if own != _NO_VERTEX and own != written:
-            vertex = grid.vertex_starts[cell] + own
-            places[vertex] = place
-            points[vertex] = voxel_size * (wp.vec3(float(corner[0]), float(corner[1]), float(corner[2])) + place)
-            colors[vertex] = as_bytes(color)
-            normals[vertex] = normal
-            written = own
-
-
-@wp.kernel
-def _solve_cells(
-    first: int,
-    grid: DualGrid,
-    tables: CellTables,
-    blocks: wp.array(dtype=wp.vec3i),
-    voxels: Voxels,
-    voxel_size: float,
-    places: wp.array(dtype=wp.vec3),
-    points: wp.array(dtype=wp.vec3),
-    colors: wp.array(dtype=wp.vec3ub),
-    normals: wp.array(dtype=wp.vec3),
-) -> None:
-    cell = wp.tid() + first
-    at = grid.cell_at[cell]
-    slot = at >> 9
-    local = wp.vec3i(at & 7, (at >> 3) & 7, (at >> 6) & 7)
-    corners = corners_of(voxels, grid, slot, local)
-    terms = trilinear_terms(corners.distances)
-    case = case_of_corners(corners)
-    corner = 8 * blocks[number_of(grid.cells, slot)] + local
-    for loop in range(tables.loop_counts[case]):
-        planes = Planes()
-        color = wp.vec4()
-        for i in range(tables.ends[case, loop], tables.ends[case, loop + 1]):
-            edge = tables.edges[case, i]
-            low = low_corner(edge)
-            a = corners.distances[low]
-            along = wp.clamp(a / (a - corners.distances[low + (1 << (edge >> 2))]), _LOWEST, _HIGHEST)
-            point = point_along(edge, along)
-            planes = with_plane(planes, point, gradient_of_terms(terms, point))
-            color += color_at(corners, edge, along)
-        set_vertices(
-            grid, tables, cell, corner, case, loop, planes, color, voxel_size, places, points, colors, normals
-        )
 
 
 @wp.func
@@ -259,35 +307,48 @@ def _solve_cells_from_faces(
     at = grid.cell_at[cell]
     slot = at >> 9
     local = wp.vec3i(at & 7, (at >> 3) & 7, (at >> 6) & 7)
-    corners = corners_of(voxels, grid, slot, local)
-    case = case_of_corners(corners)
-    corner = 8 * blocks[number_of(grid.cells, slot)] + local
-    for loop in range(tables.loop_counts[case]):
-        planes = Planes()
-        color = wp.vec4()
-        start = tables.ends[case, loop]
-        end = tables.ends[case, loop + 1]
-        arriving = tables.curves[case, end - 1]
+    pattern = pattern_of_cell(grid, at)
+    planes = EdgePlanes()
+    for loop in range(tables.loop_counts[pattern]):
+        start = tables.ends[pattern, loop]
+        end = tables.ends[pattern, loop + 1]
+        arriving = tables.curves[pattern, end - 1]
         for i in range(start, end):
-            edge = tables.edges[case, i]
+            edge = tables.edges[pattern, i]
+            leaving = tables.curves[pattern, i]
             along = along_edges[edge_number_in_cell(grid, slot, local, edge)]
             point = point_along(edge, along)
-            leaving = tables.curves[case, i]
             before = face_point_in_cell(grid, curve_points, slot, local, arriving, 1)
             after = face_point_in_cell(grid, curve_points, slot, local, leaving, 0)
             normal = wp.cross(before - point, after - point)
             if wp.length(normal) < _SMALLEST_CROSS:
                 normal = wp.vec3()
             # From the inside end of the edge to the outside one.
-            outwards = wp.where(((case >> low_corner(edge)) & 1) == 1, 1.0, -1.0)
+            outwards = wp.where(((pattern >> low_corner(edge)) & 1) == 1, 1.0, -1.0)
             if normal[edge >> 2] * outwards < 0.0:
                 normal = -normal
-            planes = with_plane(planes, point, normal)
-            color += color_at(corners, edge, along)
+            planes[edge, 0] = along
+            planes[edge, 1] = normal[0]
+            planes[edge, 2] = normal[1]
+            planes[edge, 3] = normal[2]
             arriving = leaving
-        set_vertices(
-            grid, tables, cell, corner, case, loop, planes, color, voxel_size, places, points, colors, normals
-        )
+    corner = 8 * blocks[number_of(grid.cells, slot)] + local
+    solve_loops(
+        grid,
+        tables,
+        cell,
+        pattern,
+        corners_of(voxels, grid, slot, local[0], local[1], local[2]),
+        planes,
+        float(corner[0]),
+        float(corner[1]),
+        float(corner[2]),
+        voxel_size,
+        places,
+        points,
+        colors,
+        normals,
+    )
 
 
 def cell_points(

@@ -26,6 +26,8 @@ from fusion.volume.tsdf_volume import Volume
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 _PARTS = wp.constant(PARTS)
+import os
+BEHIND = float(os.environ.get("BEHIND", "0.5"))
 MEMORY_SHARE = 0.7
 """Of the free memory, how much the images may take."""
 
@@ -34,6 +36,7 @@ _VALUE_IN_CPP = """
     const int words = masks.shape[1], height = depth.shape[1], width = depth.shape[2];
     const float t = truncation;
     float sum = 0.0f, total = 0.0f;
+    bool hidden = false;
     for (int word = 0; word < words; ++word) {
         for (unsigned int left = masks.data[(size_t)row * words + word]; left != 0; left &= left - 1) {
 #ifdef __CUDA_ARCH__
@@ -62,14 +65,15 @@ _VALUE_IN_CPP = """
             const float inverse = (1.0f - dv) * ((1.0f - du) / a + du / b) + dv * ((1.0f - du) / c + du / e);
             const float ratio = (depth_scale / inverse - z_point) / t;
             if (ratio < -1.0f) continue;
-            float w = 1.0f;
-            if (WEIGHTED) w = pixel_weights.data[image + (size_t)(int)(v + 0.5f) * width + (int)(u + 0.5f)];
-            if (DROP_OFF && ratio < 0.0f) w *= 1.0f + ratio;
+            hidden |= ratio <= -behind;
+            if (ratio <= -behind) continue;
+            float w = ratio < 0.0f ? 1.0f + ratio / behind : 1.0f;
+            if (WEIGHTED) w *= pixel_weights.data[image + (size_t)(int)(v + 0.5f) * width + (int)(u + 0.5f)];
             sum += w * (ratio < 1.0f ? ratio : 1.0f);
             total += w;
         }
     }
-    return total > 0.0f ? sum / total : NONE;
+    return total > 0.0f ? sum / total : hidden ? -behind : NONE;
 """
 
 
@@ -107,10 +111,9 @@ def _spread_masks(
 
 
 @cache
-def depth_field(depth_type: type, *, weighted: bool, drop_off: bool) -> tuple[Any, Any]:
+def depth_field(depth_type: type, *, weighted: bool) -> tuple[Any, Any]:
     """Return the Warp function of an ``Oracle`` for depth of a type, uint16 or float32, and the struct it takes."""
-    constants = {"WEIGHTED": weighted, "DROP_OFF": drop_off}
-    declared = "".join(f"constexpr bool {name} = {str(value).lower()};\n" for name, value in constants.items())
+    declared = f"constexpr bool WEIGHTED = {str(weighted).lower()};\n"
     declared += f"constexpr float NONE = {NOT_KNOWN}f;\n"
 
     @wp.func_native(declared + _VALUE_IN_CPP)
@@ -125,6 +128,7 @@ def depth_field(depth_type: type, *, weighted: bool, drop_off: bool) -> tuple[An
         depth_scale: float,
         pixel_from_lattice: wp.array(dtype=wp.mat44),
         truncation: float,
+        behind: float,
     ) -> float:
         """Return the average in units of the truncation, NOT_KNOWN where no frame says anything."""
 
@@ -141,6 +145,7 @@ def depth_field(depth_type: type, *, weighted: bool, drop_off: bool) -> tuple[An
         depth_scale: float
         pixel_from_lattice: wp.array(dtype=wp.mat44)
         truncation: float
+        behind: float
         voxels_a_truncation: float
 
     @wp.func
@@ -161,6 +166,7 @@ def depth_field(depth_type: type, *, weighted: bool, drop_off: bool) -> tuple[An
             state.depth_scale,
             state.pixel_from_lattice,
             state.truncation,
+            state.behind,
         )
         if average < 2.0:
             return state.voxels_a_truncation * average
@@ -185,7 +191,7 @@ def depth_oracle(volume: Volume, batches: Iterable[FrameBatch], options: Integra
         if state is None:
             weighted = weights is not None
             _require_memory(volume, batch, frames, weighted=weighted)
-            value, state_type = depth_field(batch.depth.dtype, weighted=weighted, drop_off=options.drop_off)
+            value, state_type = depth_field(batch.depth.dtype, weighted=weighted)
             state = _empty_state(state_type, volume, batch, frames, weighted=weighted)
         last = first + len(batch)
         wp.copy(state.depth[first:last], batch.depth)
@@ -220,6 +226,7 @@ def _empty_state(state_type: Any, volume: Volume, batch: FrameBatch, frames: int
     state.depth_scale = batch.depth_scale
     state.pixel_from_lattice = wp.empty(frames, dtype=wp.mat44, device=device)
     state.truncation = volume.truncation
+    state.behind = BEHIND * volume.voxel_size / volume.truncation
     state.voxels_a_truncation = volume.truncation / volume.voxel_size
     return state
 

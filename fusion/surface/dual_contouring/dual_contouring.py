@@ -23,14 +23,14 @@ def dual_contouring(
 ) -> Mesh:
     """Return the volume's surface as a manifold mesh in world coordinates, with colours, that never meets itself.
 
-    Which voxels are inside is the volume's to say; where the surface passes between them is what ``oracle`` answers, or
-    without one where the volume's trilinear field is zero. A voxel counts as seen where its weight is over
+    Which voxels are inside and where the surface passes between them is what ``oracle`` answers, which is asked near the
+    volume's surface, or without one what the volume's trilinear field says. A voxel counts as seen where its weight is over
     ``min_weight`` (≥ 0). There is a quad around an edge where all four cells there have eight seen corners, and nowhere
     else: the mesh is open at the border of what was observed, half a cell before marching cubes' is. ``normals`` asks
     for the vertices' normals.
     """
     assert min_weight >= 0, "an unseen voxel's weight is 0"
-    grid, counts = find_grid(volume, min_weight=min_weight)
+    grid, counts = find_grid(volume, oracle, min_weight=min_weight)
     along = edge_points(volume, grid, counts, oracle)
     curve_points = None if oracle is None else face_points(volume, grid, counts, oracle, along)
     places, cells = cell_points(volume, grid, counts, along, curve_points)

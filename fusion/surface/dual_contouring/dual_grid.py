@@ -17,6 +17,8 @@ from warp.utils import array_scan
 
 from fusion.surface.cells import find_cells
 from fusion.surface.dual_contouring.cell_table import NO_VERTEX, CellTables, cell_tables
+from fusion.surface.dual_contouring.oracle import Oracle
+from fusion.surface.dual_contouring.signs import ask_signs
 from fusion.surface.layers import (
     NONE,
     Cells,
@@ -331,13 +333,18 @@ def place_of(slots: wp.array2d(dtype=int), slot: int, x: int, y: int, z: int) ->
     return wp.vec2i(8 * holder + (z & 7), 8 * (y & 7) + (x & 7))
 
 
-def find_grid(volume: Volume, *, min_weight: float) -> tuple[DualGrid, Counts]:
-    """Find what dual contouring numbers in a volume; a voxel was seen where its weight is over ``min_weight``."""
+def find_grid(volume: Volume, oracle: Oracle | None, *, min_weight: float) -> tuple[DualGrid, Counts]:
+    """Find what dual contouring numbers in a volume; a voxel was seen where its weight is over ``min_weight``.
+
+    Which voxels are inside is the oracle's to say, or without one the volume's.
+    """
     device = volume.device
     tables = cell_tables(str(device.alias))
     # Counted in place of triangles: one of each active cell.
     ones = wp.full(256, 1, dtype=int, device=device)
     cells = find_cells(volume, ones, meshed=None, min_weight=min_weight)
+    if oracle is not None:
+        ask_signs(volume, cells, ones, oracle)
     layers = len(cells.starts) - 1
     edges, active = (int(total) for total in cells.starts[layers:].numpy()[0])
     grid = DualGrid()

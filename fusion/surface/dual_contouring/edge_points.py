@@ -19,6 +19,7 @@ _LOWEST = wp.constant(INSET)
 _HIGHEST = wp.constant(1.0 - INSET)
 TOLERANCE = wp.constant(1.0e-3)
 """Voxels: a crossing is known as exactly as vertices keep from borders."""
+LEAST_GUESS = wp.constant(0.05)
 MOST_QUESTIONS = wp.constant(14)
 
 
@@ -103,10 +104,14 @@ def search_kernel(value: Any, state_type: Any) -> Kernel:
                 x = bit & 7
                 y = bit >> 3
                 corner = 8 * blocks[number] + wp.vec3i(x, y, z)
-                a = distance_of(voxels, voxel_of(cells, slot, x, y, z))
-                b = distance_of(voxels, voxel_of(cells, slot, x + step[0], y + step[1], z + step[2]))
+                inside = ((cells.inside[layer] >> wp.uint64(bit)) & wp.uint64(1)) != NONE
+                # What the volume holds tells how far off the surface may be.
+                a = wp.abs(distance_of(voxels, voxel_of(cells, slot, x, y, z)))
+                b = wp.abs(distance_of(voxels, voxel_of(cells, slot, x + step[0], y + step[1], z + step[2])))
+                a = wp.max(voxels_a_truncation * a, LEAST_GUESS)
+                b = wp.max(voxels_a_truncation * b, LEAST_GUESS)
                 start = wp.vec3(float(corner[0]), float(corner[1]), float(corner[2]))
-                found = search(state, number, start, way, voxels_a_truncation * a, voxels_a_truncation * b)
+                found = search(state, number, start, way, wp.where(inside, -a, a), wp.where(inside, b, -b))
                 along[edge] = wp.clamp(found, _LOWEST, _HIGHEST)
                 edge += 1
                 left = left & (left - wp.uint64(1))

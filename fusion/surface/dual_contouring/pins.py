@@ -8,7 +8,7 @@ is.
 import warp as wp
 
 from fusion.devices import launch_in_slabs
-from fusion.surface.dual_contouring.cell_points import Vertices, as_bytes
+from fusion.surface.dual_contouring.cell_points import Vertices
 from fusion.surface.dual_contouring.cell_table import NO_VERTEX
 from fusion.surface.dual_contouring.dual_grid import Counts, DualGrid, cell_number, curve_number, pin_number, place_of
 from fusion.surface.dual_contouring.face_points import (
@@ -29,6 +29,15 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 _INSET = wp.constant(INSET)
 _NO_VERTEX = wp.constant(NO_VERTEX)
+
+
+@wp.func
+def as_bytes(total: wp.vec4) -> wp.vec3ub:
+    """Return the average of a sum of colours and their count; black where there are none."""
+    scale = 1.0 / wp.max(total[3], 1.0)
+    return wp.vec3ub(
+        wp.uint8(scale * total[0] + 0.5), wp.uint8(scale * total[1] + 0.5), wp.uint8(scale * total[2] + 0.5)
+    )
 
 
 @wp.func

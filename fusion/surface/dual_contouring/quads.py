@@ -15,10 +15,10 @@ import warp as wp
 from warp.utils import array_scan
 
 from fusion.devices import launch_in_slabs
-from fusion.surface.dual_contouring.cell_points import Vertices, as_bytes
+from fusion.surface.dual_contouring.cell_points import Vertices
 from fusion.surface.dual_contouring.dual_grid import Counts, DualGrid, pin_number, place_of
 from fusion.surface.dual_contouring.face_points import face_u, is_ambiguous, pattern_of
-from fusion.surface.dual_contouring.pins import vertex_of_edge
+from fusion.surface.dual_contouring.pins import as_bytes, vertex_of_edge
 from fusion.surface.dual_contouring.qef import INSET
 from fusion.surface.layers import NONE, lowest_bit, number_of, step_along, vertex_number
 from fusion.volume.tsdf_volume import Volume
