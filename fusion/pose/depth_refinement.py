@@ -44,6 +44,8 @@ _COARSE_POINTS, _MIDDLE_POINTS = 500, 2000
 _COARSE_ROUNDS, _COARSE_STEPS, _MIDDLE_STEPS, _FINE_STEPS = 4, 4, 6, 12
 _START_POINTS, _KEPT_STARTS = 300, 4
 _TURN_OF_STARTS_DEG = 35.0
+_CLEARLY = 1.03
+"""By this factor a pose farther from the start has to explain the view better, lest symmetry turn the model round."""
 _EXPLAINED = 0.65
 """Share of the query's points, and of the model's surface, from which on one start is enough."""
 
@@ -103,8 +105,11 @@ class _Problem:
 
     def spread(self, poses: NDArray[np.float64], *, count: int) -> NDArray[np.float64]:
         """Return the robust standard deviation (n,) of the residuals that are there, at least the model's own."""
+        count = min(count, self.cloud.count)
         residuals = np.abs(
-            point_residuals(self.model, self.cloud, poses, count=min(count, self.cloud.count), floor=self.floor)
+            point_residuals(
+                self.model, self.cloud, poses, count=count, floor=self.floor, inlier_within=self.inlier_within
+            )
         )
         known = np.isfinite(residuals)
         # Where fewer than a half have a field the median is of those that have.
@@ -137,7 +142,7 @@ def refine_with_depth(
     if best is None or (options.starts == "auto" and not _explains(problem, best)):
         found, more = _from_many(problem, start)
         spent += more
-        if best is None or _scores(problem, found.poses)[0] > _scores(problem, best.poses)[0]:
+        if best is None or _scores(problem, found.poses)[0] > _CLEARLY * _scores(problem, best.poses)[0]:
             best = found
     return _result(problem, best, start, spent)
 
@@ -157,9 +162,10 @@ def _problem(model: PoseModel, query: Query, cloud: QueryCloud, start: Matrix) -
 
 
 def _from_one(problem: _Problem, start: Matrix) -> tuple[Descent, int]:
-    """Descend from one start, coarse to fine."""
-    poses, spent = _coarse(problem, start[None], count=_COARSE_POINTS)
-    best = _fine(problem, poses)
+    """Descend from one start, coarse to fine; as it is, and shifted so that the model is where the depth is."""
+    poses = np.concatenate([start[None], _shifted_onto_depth(problem, start[None])])
+    poses, spent = _coarse(problem, poses, count=_COARSE_POINTS)
+    best = _fine(problem, poses[np.argmax(_scores(problem, poses))][None])
     return best, spent + best.iterations
 
 

@@ -12,7 +12,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from fusion.devices import launch_in_slabs
-from fusion.pose.model_field import ModelField, sample_field
+from fusion.pose.model_field import FieldSample, ModelField, sample_field
 from fusion.pose.pose_model import PoseModel, poses_on
 from fusion.pose.query import QueryCloud
 
@@ -73,6 +73,15 @@ def add_residual(sums: _Sums, r: float, weight: float, normal: wp.vec3, arm: wp.
     return sums
 
 
+@wp.func
+def is_away(sample: FieldSample, ray: wp.vec3, near: float) -> bool:
+    """Return whether the closest surface is one that the camera cannot have seen, since it faces away.
+
+    At the surface itself that is not asked: on a sheet's other side both sign and normal change, and so nothing does.
+    """
+    return wp.abs(sample.distance) > near and wp.dot(sample.normal, ray) > _AWAY * wp.length(ray)
+
+
 @wp.kernel
 def _accumulate(
     first: int,
@@ -103,7 +112,7 @@ def _accumulate(
         point = ray + eye
         sample = sample_field(field, point)
         total[32] += 1.0
-        away = wp.dot(sample.normal, ray) > _AWAY * wp.length(ray)
+        away = is_away(sample, ray, inlier_within)
         if sample.source == _NO_FIELD or away:
             total[27] += wp.where(kind == _TUKEY, 1.0 / 6.0, 0.5)
         else:
@@ -131,6 +140,7 @@ def _residuals(
     rotations: wp.array(dtype=wp.mat33),
     translations: wp.array(dtype=wp.vec3),
     floor: float,
+    inlier_within: float,
     residuals: wp.array2d(dtype=float),
 ) -> None:
     index = wp.tid() + first
@@ -139,7 +149,7 @@ def _residuals(
     ray = rotations[pose] * points[i]
     sample = sample_field(field, ray + translations[pose])
     noise = wp.sqrt(1.0 + (sigmas[i] / floor) * (sigmas[i] / floor))
-    away = wp.dot(sample.normal, ray) > _AWAY * wp.length(ray)
+    away = is_away(sample, ray, inlier_within)
     residuals[pose, i] = wp.where(sample.source == _NO_FIELD or away, wp.inf, sample.distance / noise)
 
 
@@ -176,7 +186,7 @@ class Robustness:
 
 
 def point_residuals(
-    model: PoseModel, cloud: QueryCloud, poses: NDArray[np.float64], *, count: int, floor: float
+    model: PoseModel, cloud: QueryCloud, poses: NDArray[np.float64], *, count: int, floor: float, inlier_within: float
 ) -> NDArray[np.float32]:
     """Return the distances (n, count) of the cloud's first ``count`` points, in metres of the least noise.
 
@@ -186,7 +196,15 @@ def point_residuals(
     launch_in_slabs(
         _residuals,
         dim=residuals.size,
-        inputs=[model.field, cloud.points, cloud.sigmas, count, *poses_on(model.device, model.local(poses)), floor],
+        inputs=[
+            model.field,
+            cloud.points,
+            cloud.sigmas,
+            count,
+            *poses_on(model.device, model.local(poses)),
+            floor,
+            inlier_within,
+        ],
         outputs=[residuals],
         device=model.device,
         least_slab=512,
