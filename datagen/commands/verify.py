@@ -23,6 +23,9 @@ def add_command(commands: Any) -> None:
     parser.add_argument("dataset", metavar="DATASET", type=Path, help="a dataset that datagen render made")
     parser.add_argument("--frames", type=positive, default=5, metavar="N", help="how many frames (default: 5)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the choice of frames")
+    parser.add_argument(
+        "--models", type=Path, default=Path(), metavar="FOLDER", help="where the scene's own model files lie"
+    )
     parser.add_argument("--device", choices=DEVICES, default="auto", help="what Cycles renders on (default: the best)")
     parser.add_argument("--workers", type=positive, default=1, metavar="N", help="rendering processes (default: 1)")
     parser.set_defaults(run=_run)
@@ -34,6 +37,7 @@ def _run(options: argparse.Namespace) -> int:
             options.dataset,
             frames=options.frames,
             rng=np.random.default_rng(options.seed),
+            models=options.models,
             device=options.device,
             workers=options.workers,
             progress=progress,

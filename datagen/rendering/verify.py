@@ -19,6 +19,7 @@ from datagen.rendering.crew import render_workers
 from datagen.rendering.frame_files import damaged_file, frame_files, is_complete
 from datagen.rendering.provenance import metadata_of
 from datagen.rendering.render_workers import Job, Task
+from datagen.scene_spec.model_files import locate_models
 from datagen.scene_spec.scene import Scene
 
 MAKER = ("blender_build", "device", "device_name")
@@ -57,6 +58,7 @@ def verify_dataset(
     *,
     frames: int,
     rng: np.random.Generator,
+    models: Path = Path(),
     device: str = "auto",
     workers: int = 1,
     progress: ProgressReporter = silent,
@@ -65,11 +67,12 @@ def verify_dataset(
     """Render ``frames`` of a dataset's frames, drawn by ``rng``, again and compare all of their files.
 
     By the same version of Blender on the same device every image must be the same; otherwise colours may differ by
-    ``MEAN_COLOR_STEPS`` on average, other images by a step but for ``ODD_PIXELS``, poses by ``POSE_TOLERANCE``. Raises
-    InputError where the dataset was not rendered by us or has no whole frame, WorkerError where Blender fails.
+    ``MEAN_COLOR_STEPS`` on average, other images by a step but for ``ODD_PIXELS``, poses by ``POSE_TOLERANCE``. Model
+    files that the recipe names are looked for in ``models`` and told by their SHA-256. Raises InputError where the
+    dataset was not rendered by us, lacks its models or has no whole frame, WorkerError where Blender fails.
     """
     metadata = read_metadata(folder)
-    scene = _scene_of(folder, metadata)
+    scene = _scene_of(folder, metadata, models)
     whole = [i for i in range(metadata.frame_count) if is_complete(frame_files(folder, metadata.layers, i))]
     if not whole:
         raise InputError(f"{folder}: has no frame of which all files are there; render it first")
@@ -94,9 +97,9 @@ def verify_dataset(
     return Verification(verdicts=tuple(sorted(verdicts, key=lambda verdict: verdict.frame)), same_maker=same_maker)
 
 
-def _scene_of(folder: Path, metadata: Metadata) -> Scene:
+def _scene_of(folder: Path, metadata: Metadata, models: Path) -> Scene:
     try:
-        return Scene.model_validate_json(json.dumps(metadata.recipe))
+        return Scene.model_validate_json(json.dumps(locate_models(metadata.recipe, models)))
     except ValidationError as error:
         raise InputError(
             f"{folder / METADATA_FILE}: its recipe is not that of a scene ({error.error_count()} faults), so it cannot "
