@@ -12,10 +12,21 @@ import warp as wp
 
 from fusion.devices import launch_in_slabs
 from fusion.surface.dual_contouring.cell_table import NO_VERTEX, CellTables, cell_tables
-from fusion.surface.dual_contouring.dual_grid import Counts, DualGrid, curve_number, place_of
+from fusion.surface.dual_contouring.dual_grid import Counts, DualGrid, cell_number, curve_number, place_of
 from fusion.surface.dual_contouring.face_points import face_u, face_v
 from fusion.surface.dual_contouring.qef import INSET, QEF_IN_CPP
-from fusion.surface.layers import case_of, corners_on, number_of, step_along, vertex_number
+from fusion.surface.layers import (
+    NONE,
+    case_of,
+    corners_on,
+    launch_over_layers,
+    lowest_bit,
+    number_of,
+    share_of,
+    shares_on,
+    step_along,
+    vertex_number,
+)
 from fusion.volume.tsdf_volume import Volume
 from fusion.volume.voxels import Voxels
 
@@ -106,11 +117,6 @@ _TRILINEAR_IN_CPP = f"constexpr float LOWEST = {INSET}f, HIGHEST = 1.0f - {INSET
 """
 
 
-@wp.func_native(_TRILINEAR_IN_CPP)
-def trilinear_planes(corners: Corners) -> EdgePlanes:
-    """Return where the trilinear field crosses a cell's edges, and its gradients there."""
-
-
 _SOLVE_IN_CPP = f"constexpr int NO_VERTEX = {NO_VERTEX};" + QEF_IN_CPP + """
     const int *ends = tables.ends.data + 5 * pattern;
     const int *edges = tables.edges.data + 12 * pattern;
@@ -131,8 +137,9 @@ _SOLVE_IN_CPP = f"constexpr int NO_VERTEX = {NO_VERTEX};" + QEF_IN_CPP + """
             const float *a = corners.data[low], *b = corners.data[low + (1 << axis)];
             const float share_a = (1.0f - along) * a[4], share_b = along * b[4], share = share_a + share_b;
             if (share > 0.0f) {
+                const float part = 1.0f / share;
                 for (int channel = 0; channel < 3; ++channel)
-                    color[channel] += (share_a * a[1 + channel] + share_b * b[1 + channel]) / share;
+                    color[channel] += part * (share_a * a[1 + channel] + share_b * b[1 + channel]);
                 colored += 1.0f;
             }
         }
@@ -192,19 +199,52 @@ def pattern_of_cell(grid: DualGrid, at: int) -> int:
     return case_of(low, high, at & 63)
 
 
-@wp.func
-def pattern_of_corners(corners: Corners) -> int:
-    """Return the sign pattern of a cell whose signs are the volume's."""
-    pattern = int(0)
-    for corner in range(8):
-        if corners[corner, 0] < 0.0:
-            pattern |= 1 << corner
-    return pattern
+# A layer's cells in one piece: Warp hands structs over by value, which for each cell would cost as much as solving it.
+_SOLVE_LAYER_IN_CPP = (
+    """
+    for (wp::uint64 left = active; left != 0; left &= left - 1, ++cell) {
+        const int bit = wp::bit_count((left - 1) & ~left), x = bit & 7, y = bit >> 3;
+    """
+    f"const auto corners = [&]() {{ {_CORNERS_IN_CPP} }}();\n"
+    f"const auto planes = [&]() {{ {_TRILINEAR_IN_CPP} }}();\n"
+    """
+        int pattern = 0;
+        for (int corner = 0; corner < 8; ++corner) pattern |= corners.data[corner][0] < 0.0f ? 1 << corner : 0;
+    """
+    f"[&](float x, float y, float z) {{ {_SOLVE_IN_CPP} }}(block_x + x, block_y + y, block_z + z);\n"
+    "}"
+)
+
+
+@wp.func_native(_SOLVE_LAYER_IN_CPP)
+def solve_layer(
+    grid: DualGrid,
+    tables: CellTables,
+    slot: int,
+    z: int,
+    active: wp.uint64,
+    cell: int,
+    block_x: float,
+    block_y: float,
+    block_z: float,
+    voxels: Voxels,
+    voxel_size: float,
+    places: wp.array(dtype=wp.vec3),
+    points: wp.array(dtype=wp.vec3),
+    colors: wp.array(dtype=wp.vec3ub),
+    normals: wp.array(dtype=wp.vec3),
+) -> None:
+    """Write the vertices of the ``active`` cells of a layer, from number ``cell`` on.
+
+    The block's lowest corner is at ``block_x`` … on the lattice. Where the trilinear field crosses a cell's edges, its
+    gradient is the surface's normal.
+    """
 
 
 @wp.kernel
 def _solve_cells(
     first: int,
+    shares: int,
     grid: DualGrid,
     tables: CellTables,
     blocks: wp.array(dtype=wp.vec3i),
@@ -215,22 +255,25 @@ def _solve_cells(
     colors: wp.array(dtype=wp.vec3ub),
     normals: wp.array(dtype=wp.vec3),
 ) -> None:
-    cell = wp.tid() + first
-    at = grid.cell_at[cell]
-    slot = at >> 9
-    local = wp.vec3i(at & 7, (at >> 3) & 7, (at >> 6) & 7)
-    corners = corners_of(voxels, grid, slot, local[0], local[1], local[2])
-    corner = 8 * blocks[number_of(grid.cells, slot)] + local
-    solve_loops(
+    index = wp.tid() + first
+    layer = index / shares
+    share = share_of(index - layer * shares, shares)
+    active = grid.cells.active[layer] & share
+    if active == NONE:
+        return
+    slot = layer >> 3
+    corner = 8 * blocks[number_of(grid.cells, slot)]
+    solve_layer(
         grid,
         tables,
-        cell,
-        pattern_of_corners(corners),
-        corners,
-        trilinear_planes(corners),
+        slot,
+        layer & 7,
+        active,
+        cell_number(grid, layer, lowest_bit(active)),
         float(corner[0]),
         float(corner[1]),
         float(corner[2]),
+        voxels,
         voxel_size,
         places,
         points,
@@ -363,14 +406,14 @@ def cell_points(
     vertices = Vertices.empty(counts.vertices, device)
     tables = cell_tables(str(device.alias))
     inputs = [grid, tables, volume.table.blocks, volume.voxels, volume.voxel_size]
-    if curve_points is not None:
+    outputs = [places, vertices.points, vertices.colors, vertices.normals]
+    if curve_points is None:
+        shares = shares_on(device)
+        dim = shares * (len(grid.cells.starts) - 1)
+        launch_over_layers(_solve_cells, dim=dim, inputs=[shares, *inputs], outputs=outputs, device=device)
+    else:
         inputs += [along, curve_points]
-    launch_in_slabs(
-        _solve_cells if curve_points is None else _solve_cells_from_faces,
-        dim=counts.cells,
-        inputs=inputs,
-        outputs=[places, vertices.points, vertices.colors, vertices.normals],
-        device=device,
-        least_slab=256,
-    )
+        launch_in_slabs(
+            _solve_cells_from_faces, dim=counts.cells, inputs=inputs, outputs=outputs, device=device, least_slab=256
+        )
     return places, vertices

@@ -16,7 +16,8 @@ QEF_IN_CPP = (
     f"constexpr int SWEEPS = {SWEEPS};\n"
     """
     auto within = [](float x) { return x < LOWEST ? LOWEST : x > HIGHEST ? HIGHEST : x; };
-    // Planes in voxels from the cell's lowest corner: the sums of n n^T, of n (n.p), of n, and of the points p.
+    // Planes in voxels from the cell's lowest corner: with normals n and points p the sums of n n^T / n.n, of
+    // n (n.p) / n.n, of n, and of p.
     struct Planes {
         float xx = 0.0f, xy = 0.0f, xz = 0.0f, yy = 0.0f, yz = 0.0f, zz = 0.0f;
         float offset[3] = {0.0f}, normal[3] = {0.0f}, points[3] = {0.0f}, planes = 0.0f, count = 0.0f;
@@ -26,12 +27,11 @@ QEF_IN_CPP = (
         all.count += 1.0f;
         const float size = x * x + y * y + z * z;
         if (!(size > 0.0f)) return;
-        const float inverse = 1.0f / sqrtf(size);
-        x *= inverse; y *= inverse; z *= inverse;
+        const float inverse = 1.0f / size, ux = inverse * x, uy = inverse * y, uz = inverse * z;
         const float along = x * p[0] + y * p[1] + z * p[2];
-        all.xx += x * x; all.xy += x * y; all.xz += x * z;
-        all.yy += y * y; all.yz += y * z; all.zz += z * z;
-        all.offset[0] += along * x; all.offset[1] += along * y; all.offset[2] += along * z;
+        all.xx += x * ux; all.xy += x * uy; all.xz += x * uz;
+        all.yy += y * uy; all.yz += y * uz; all.zz += z * uz;
+        all.offset[0] += along * ux; all.offset[1] += along * uy; all.offset[2] += along * uz;
         all.normal[0] += x; all.normal[1] += y; all.normal[2] += z;
         all.planes += 1.0f;
     };
