@@ -70,22 +70,26 @@ class Verdict:
 
 def compare(judge: Judge, base: Correction, *, frames: int) -> Verdict:
     """Hold all single faults on top of ``base`` against the evidence; the best is ``base`` where none is better."""
-    coarse: dict[str, tuple[float, Hypothesis]] = {}
+    coarse: dict[tuple[str, int], tuple[float, Hypothesis]] = {}
     for hypothesis in hypotheses(base, frames=frames):
         cost = judge.cost(hypothesis.correction, every=COARSE)
-        if cost < coarse.get(hypothesis.kind, (np.inf,))[0]:
-            coarse[hypothesis.kind] = cost, hypothesis
+        key = hypothesis.kind, hypothesis.correction.pose_shift
+        if cost < coarse.get(key, (np.inf,))[0]:
+            coarse[key] = cost, hypothesis
     polished = []
     least = min(cost for cost, _ in coarse.values())
-    for kind, (cost, hypothesis) in coarse.items():
+    for (kind, _), (cost, hypothesis) in coarse.items():
         correction = hypothesis.correction
         if kind in FITTED and cost < least + WITHIN_REACH:
             correction = judge.fit(correction, FITTED[kind], every=FINE)
             cost = judge.cost(correction, every=COARSE)  # noqa: PLW2901
         polished.append((cost, kind, correction))
     polished.sort(key=lambda entry: entry[0])
-    candidates = [_judged(judge, kind, correction) for _, kind, correction in polished[:FINALISTS]]
-    return _verdict(_judged(judge, "none", base), candidates)
+    finalists = polished[:FINALISTS]
+    kinds = {kind for _, kind, _ in finalists}
+    # Of one kind there are several shifts of the poses: they leave room for others.
+    finalists += [entry for entry in polished if entry[1] not in kinds][: FINALISTS - len(kinds)]
+    return _verdict(_judged(judge, "none", base), [_judged(judge, kind, each) for _, kind, each in finalists])
 
 
 def _judged(judge: Judge, kind: str, correction: Correction) -> Judged:
@@ -97,10 +101,12 @@ def _judged(judge: Judge, kind: str, correction: Correction) -> Judged:
 
 def _verdict(base: Judged, candidates: list[Judged]) -> Verdict:
     """Compare under the noise that the best leaves: what no hypothesis explains makes all of them alike."""
-    first = min([base, *candidates], key=lambda judged: judged.cost)
-    factor = spread(first.residuals)
+    factor = spread(min([base, *candidates], key=lambda judged: judged.cost).residuals)
     base, *candidates = (replace(each, cost=mean_cost(each.residuals, factor)) for each in [base, *candidates])
-    best = min([base, *candidates], key=lambda judged: judged.cost)
+    best = base
+    for each in sorted(candidates, key=lambda judged: judged.cost):
+        if advantage(each, best, factor)[0] > 0:  # in the blocks that both have poses for
+            best = each
     gain, significance = advantage(best, base, factor)
     rivals = []
     for each in candidates:
