@@ -4,7 +4,7 @@ from pathlib import Path
 
 import bpy
 
-from datagen.blender.freeze import FIRST_FRAME, FROZEN_INDEX, LAST_FRAME
+from datagen.blender.freeze import FIRST_FRAME, FROZEN_INDEX, FROZEN_NAME, LAST_FRAME
 from datagen.scene_spec.blend_settings import BlendSettings
 
 
@@ -21,6 +21,7 @@ def append_blend(scene: bpy.types.Scene, library: Path, settings: BlendSettings,
         if thing.type == "LIGHT" and not settings.lights:
             continue
         scene.collection.objects.link(thing)
+        thing.name = thing[FROZEN_NAME]
         if thing.type == "MESH":
             thing.pass_index = first_index + int(thing[FROZEN_INDEX])
         elif thing.type == "CAMERA":

@@ -109,6 +109,7 @@ def _frozen_mesh(thing: bpy.types.Object, depsgraph: bpy.types.Depsgraph, source
 
 def _new_object(name: str, data: bpy.types.ID, matrix_world: Matrix) -> bpy.types.Object:
     thing = bpy.data.objects.new(name, data)
+    thing[FROZEN_NAME] = name
     place(thing, matrix_world.copy())
     return thing
 
@@ -154,6 +155,7 @@ def _frozen_camera(scene: bpy.types.Scene, source: Path) -> bpy.types.Object:
     frozen.data.animation_data_clear()
     frozen.data.dof.use_dof = False
     frozen.rotation_mode = "QUATERNION"
+    frozen[FROZEN_NAME] = camera.name
     frozen[FIRST_FRAME], frozen[LAST_FRAME] = scene.frame_start, scene.frame_end
     lens = None
     for number in range(scene.frame_start, scene.frame_end + 1):

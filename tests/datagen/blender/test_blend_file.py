@@ -134,8 +134,11 @@ def test_instances_stand_where_they_are_shown_each_an_object_of_its_own(foreign,
     np.testing.assert_allclose([piece.bounds.mean(axis=0) for piece in found], [[0, 0, 1], [5, 0, 1], [10, 0, 0]])
     assert [piece.volume for piece in found] == pytest.approx([1, 2, 3])
     np.testing.assert_allclose(np.ptp(found[2].vertices, axis=0), [3 * math.sqrt(2), math.sqrt(2), 1], rtol=1e-5)
-    indices = {round(thing.matrix_world.translation.x): thing.pass_index for thing in meshes(session)}
-    assert sorted(indices.values()) == [1, 2, 3]
+    assert {thing.name: thing.pass_index for thing in meshes(session)} == {
+        "A child": 1,
+        "Instance 0": 2,
+        "Instance 1": 3,
+    }
 
 
 def meshes(session):
