@@ -1,7 +1,7 @@
 """An open dataset: posed RGB-D frames, whatever folder format they came in."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Literal
@@ -22,6 +22,9 @@ DEPTH_PART: Part = "depth"
 POSE_PART: Part = "pose"
 PARTS: tuple[Part, ...] = (COLOR_PART, DEPTH_PART, POSE_PART)
 """What makes a frame whole."""
+
+DEPTH_LAYERS = ("sensor_depth",)
+"""Layers that can stand for depth."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,6 +137,16 @@ class Dataset:
         if layer.part == "depth.png":
             return read_depth(path, size=self._size, metres_per_step=self.depth_scale)
         return read_color(path, size=self._size)
+
+    def with_depth_layer(self, name: str) -> "Dataset":
+        """Return the dataset with a layer in the place of depth, as the frames' camera sees it: ``sensor_depth``.
+
+        Raises InputError where the dataset does not have it, and for what is not depth from the frames' own camera.
+        """
+        if name not in DEPTH_LAYERS:
+            raise InputError(f"{name}: not depth that the frames' own camera sees; there is {', '.join(DEPTH_LAYERS)}")
+        frames = {i: replace(record, depth=self.layer_file(name, i)) for i, record in self.frames.items()}
+        return replace(self, frames=frames)
 
     def frame(self, frame_id: int) -> Frame:
         """Read a whole frame."""

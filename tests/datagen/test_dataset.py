@@ -120,6 +120,21 @@ def test_layers_that_were_written_are_read_and_others_are_refused(folder):
         dataset.read_layer("masks", 1)
 
 
+def test_a_sensors_depth_can_stand_for_depth(folder):
+    path = folder / "dataset.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"layers": ["sensor_depth", "right_depth"]}))
+    dataset = open_dataset(folder)
+    noisy = dataset.depth(0) + 0.01 * (dataset.depth(0) > 0)
+    write_depth(layer_file(folder, "sensor_depth", 0), noisy, metres_per_step=dataset.depth_scale)
+    seen = dataset.with_depth_layer("sensor_depth")
+    np.testing.assert_allclose(seen.depth(0), noisy, atol=dataset.depth_scale / 2 + 1e-6)
+    np.testing.assert_array_equal(seen.color(0), dataset.color(0))
+    with pytest.raises(InputError, match="frame-000001.depth.png: the file is missing"):
+        seen.require((0, 1))
+    with pytest.raises(InputError, match="right_depth: not depth that the frames' own camera sees"):
+        dataset.with_depth_layer("right_depth")
+
+
 def test_an_empty_folder_and_no_folder_are_no_datasets(tmp_path):
     with pytest.raises(InputError, match="not a dataset"):
         open_dataset(tmp_path)
