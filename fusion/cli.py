@@ -23,6 +23,7 @@ from fusion.reconstruct import reconstruct
 from fusion.reconstruction_config import ReconstructionConfig, check_length
 from fusion.reconstruction_files import RECORD_FILE, LocatedPose, ReconstructionRecord, poses_as_json, read_record
 from fusion.surface.mesh_files import read_mesh
+from fusion.surface.meshers import Mesher, OracleName
 from fusion.volume.voxels import Storage
 from fusion.volume_cli import add_volume_commands
 
@@ -52,6 +53,7 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("--truncation", type=float, metavar="M", help="metres; 4 voxels if not given")
     command.add_argument("--depth-max", type=float, metavar="M", help="take farther depths as invalid")
     _add_integration(command)
+    _add_meshing(command)
     _add_shared(command)
     command.set_defaults(run=_reconstruct)
 
@@ -113,6 +115,23 @@ def _add_integration(command: argparse.ArgumentParser) -> None:
     )
 
 
+def _add_meshing(command: argparse.ArgumentParser) -> None:
+    defaults = ReconstructionConfig()
+    command.add_argument(
+        "--mesher",
+        choices=get_args(Mesher),
+        default=defaults.mesher,
+        help="marching cubes, or dual contouring, which keeps sharp edges (default: %(default)s)",
+    )
+    command.add_argument(
+        "--oracle",
+        choices=get_args(OracleName),
+        default=defaults.oracle,
+        help="what dual contouring goes by: the volume, or the depth images themselves, sharper and slower "
+        "(default: %(default)s)",
+    )
+
+
 def _add_shared(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--frames",
@@ -138,6 +157,8 @@ def _reconstruct(options: argparse.Namespace) -> None:
             drop_off=options.drop_off,
             weight_cap=options.weight_cap,
         ),
+        mesher=options.mesher,
+        oracle=options.oracle,
     )
     dataset = open_dataset(options.dataset)
     with on_terminal() as progress:

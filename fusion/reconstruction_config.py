@@ -2,10 +2,12 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import get_args
 
 from datagen.errors import InputError
 from fusion.frames.survey import SceneSurvey
 from fusion.integration.options import Integration
+from fusion.surface.meshers import Mesher, OracleName
 from fusion.volume.voxels import BYTES_PER_VOXEL, Storage
 
 EXACT = Integration(depth_sampling="bilinear", drop_off=True)
@@ -24,7 +26,8 @@ class ReconstructionConfig:
 
     ``voxel_size``, ``truncation`` and ``depth_max`` are metres; ``frames`` is START:STOP:STEP; ``device`` auto, cpu or
     cuda[:N]; ``storage`` the form of the volume (``fusion.volume.voxels``); ``integration`` how frames are sampled and
-    weighed; only voxels with more than ``min_weight`` are meshed. Raises InputError for a length that is not from a
+    weighed; only voxels with more than ``min_weight`` are meshed, by ``mesher``; ``oracle`` is what dual contouring
+    asks, and nothing to marching cubes (``fusion.surface.meshers``). Raises InputError for a length that is not from a
     micrometre to ten kilometres, and for options that there are not.
     """
 
@@ -36,6 +39,8 @@ class ReconstructionConfig:
     storage: Storage = "packed"
     min_weight: float = 0.0
     integration: Integration = EXACT
+    mesher: Mesher = "marching-cubes"
+    oracle: OracleName = "depth"
 
     def __post_init__(self) -> None:
         """Refuse lengths that make no volume."""
@@ -43,6 +48,12 @@ class ReconstructionConfig:
             raise InputError(f"--min-weight {self.min_weight:g}: expected 0 or more, the weight of so many frames")
         if self.storage not in BYTES_PER_VOXEL:
             raise InputError(f"--storage {self.storage}: expected one of {', '.join(BYTES_PER_VOXEL)}")
+        for option, value, known in (
+            ("--mesher", self.mesher, get_args(Mesher)),
+            ("--oracle", self.oracle, get_args(OracleName)),
+        ):
+            if value not in known:
+                raise InputError(f"{option} {value}: expected one of {', '.join(known)}")
         for name in ("voxel_size", "truncation", "depth_max"):
             value = getattr(self, name)
             if value is not None:

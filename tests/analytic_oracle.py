@@ -1,5 +1,4 @@
-"""Solids in closed form, for NumPy and as an oracle for dual contouring's kernels: boxes, spheres and cylinders, joined,
-cut off and cut together."""
+"""Solids in closed form, for NumPy and as an oracle: boxes, spheres, cylinders, joined, cut off and cut together."""
 
 from dataclasses import dataclass
 from functools import cached_property

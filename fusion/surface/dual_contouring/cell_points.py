@@ -92,7 +92,9 @@ def corners_of(voxels: Voxels, grid: DualGrid, slot: int, x: int, y: int, z: int
 
 
 # Terms of 1, x, y, xy, z, xz, yz, xyz, as in ``fusion.volume.trilinear``.
-_TRILINEAR_IN_CPP = f"constexpr float LOWEST = {INSET}f, HIGHEST = 1.0f - {INSET}f;" + """
+_TRILINEAR_IN_CPP = (
+    f"constexpr float LOWEST = {INSET}f, HIGHEST = 1.0f - {INSET}f;"
+    + """
     wp::mat_t<12, 4, float> planes;
     float v[8], k[8];
     for (int i = 0; i < 8; ++i) v[i] = corners.data[i][0];
@@ -115,9 +117,13 @@ _TRILINEAR_IN_CPP = f"constexpr float LOWEST = {INSET}f, HIGHEST = 1.0f - {INSET
     }
     return planes;
 """
+)
 
 
-_SOLVE_IN_CPP = f"constexpr int NO_VERTEX = {NO_VERTEX};" + QEF_IN_CPP + """
+_SOLVE_IN_CPP = (
+    f"constexpr int NO_VERTEX = {NO_VERTEX};"
+    + QEF_IN_CPP
+    + """
     const int *ends = tables.ends.data + 5 * pattern;
     const int *edges = tables.edges.data + 12 * pattern;
     const int loops = tables.loop_counts.data[pattern];
@@ -167,6 +173,7 @@ _SOLVE_IN_CPP = f"constexpr int NO_VERTEX = {NO_VERTEX};" + QEF_IN_CPP + """
         }
     }
 """
+)
 
 
 @wp.func_native(_SOLVE_IN_CPP)

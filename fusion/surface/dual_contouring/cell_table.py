@@ -27,8 +27,9 @@ class CellTable:
     """The 256 cases.
 
     ``loop_counts`` (256,); ``loop_ends`` (256, 4) where each loop ends among ``edges`` (256, 12), which has them one
-    after the other, −1 beyond; ``curves`` (256, 12) is 4·face + 2·curve, along which the loop goes on from an edge to the
-    next, + 1 where it goes there from the curve's second end to its first: the ends are in the order of face edges. ``codes`` (256,) uint64 has at bits 4·edge … the number of the loop that an edge is in, or NO_VERTEX.
+    after the other, −1 beyond; ``curves`` (256, 12) is 4·face + 2·curve, along which the loop goes on from an edge to
+    the next, + 1 where it goes there from the curve's second end to its first: the ends are in the order of face edges.
+    ``codes`` (256,) uint64 has at bits 4·edge … the number of the loop that an edge is in, or NO_VERTEX.
     """
 
     loop_counts: NDArray[np.int32]

@@ -1,11 +1,14 @@
 """The continuous field of the posed depth images themselves, which still has what voxels have rounded.
 
-A point's value is what integration would store if a voxel had its centre there: the weighted average of the truncated
-distances that the frames measure, with depth taken between pixels of one surface. Every frame's images are kept, and
-for each part of a block the frames that may see it.
+A point's value is the weighted average of the truncated distances that the frames measure there, as integration would
+store it for a voxel, with depth taken between pixels of one surface; but a frame has little say about what lies behind
+the surface that it sees. Beside a sharp edge that may be free again, as other frames see: with all their weight, those
+behind it would make the field bulge by a good part of the truncation. Half a voxel is left, so that a noisy frame that
+sees the surface too near is still outvoted by those that see it too far.
+
+Every frame's images are kept, and for each part of a block the frames that may see it.
 """
 
-from collections.abc import Iterable
 from functools import cache
 from typing import Any
 
@@ -26,8 +29,9 @@ from fusion.volume.tsdf_volume import Volume
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 _PARTS = wp.constant(PARTS)
-import os
-BEHIND = float(os.environ.get("BEHIND", "0.5"))
+BEHIND = 0.5
+"""Voxels behind what a frame sees at which it has no say any more; its say falls to that linearly."""
+
 MEMORY_SHARE = 0.7
 """Of the free memory, how much the images may take."""
 
@@ -111,7 +115,7 @@ def _spread_masks(
 
 
 @cache
-def depth_field(depth_type: type, *, weighted: bool) -> tuple[Any, Any]:
+def depth_value(depth_type: type, *, weighted: bool) -> tuple[Any, Any]:
     """Return the Warp function of an ``Oracle`` for depth of a type, uint16 or float32, and the struct it takes."""
     declared = f"constexpr bool WEIGHTED = {str(weighted).lower()};\n"
     declared += f"constexpr float NONE = {NOT_KNOWN}f;\n"
@@ -134,8 +138,10 @@ def depth_field(depth_type: type, *, weighted: bool) -> tuple[Any, Any]:
 
     @wp.struct
     class DepthState:
-        """The frames as in ``FrameBatch``, of all batches; ``masks`` (4 · blocks, words): frame 32·w + i is bit i of
-        word w where it may see the block's part.
+        """The frames of all batches, as in ``FrameBatch``.
+
+        ``masks`` (4 · blocks, words): frame 32·w + i is bit i of word w where it may see the block's part. ``behind``
+        is in units of the truncation.
         """
 
         blocks: wp.array(dtype=wp.vec3i)
@@ -149,7 +155,7 @@ def depth_field(depth_type: type, *, weighted: bool) -> tuple[Any, Any]:
         voxels_a_truncation: float
 
     @wp.func
-    def depth_value(state: DepthState, number: int, point: wp.vec3) -> float:
+    def value(state: DepthState, number: int, point: wp.vec3) -> float:
         """Return the continuous field at a point, in voxels."""
         block = state.blocks[number]
         y = wp.clamp(int(wp.floor(point[1])) - 8 * block[1], 0, 7)
@@ -172,35 +178,56 @@ def depth_field(depth_type: type, *, weighted: bool) -> tuple[Any, Any]:
             return state.voxels_a_truncation * average
         return NOT_KNOWN
 
-    return depth_value, DepthState
+    return value, DepthState
 
 
-def depth_oracle(volume: Volume, batches: Iterable[FrameBatch], options: Integration, *, frames: int) -> Oracle:
-    """Return the oracle of the ``frames`` frames in ``batches``, those that were integrated with ``options``.
+class DepthField:
+    """The frames that were integrated into a volume, kept to ask for their field: ``add`` batches, then ``oracle``.
 
-    Depth is taken between pixels whatever ``options`` say. The images are copied. Raises InputError where they do not
-    fit into memory.
+    ``frames`` is how many there will be, ``options`` what they were integrated with; depth is taken between pixels
+    whatever these say.
     """
-    weighted = False
-    state: Any = None
-    value: Any = None
-    state_type: Any = None
-    first = 0
-    for batch in batches:
-        weights = pixel_weights(batch, options.weighting, step=volume.truncation)
+
+    def __init__(self, volume: Volume, options: Integration, *, frames: int) -> None:
+        self.volume = volume
+        self.options = options
+        self.frames = frames
+        self._count = 0
+        self._value: Any = None
+        self._state_type: Any = None
+        self._state: Any = None
+
+    def add(self, batch: FrameBatch) -> None:
+        """Copy a batch's images; raises InputError where those of all frames do not fit into memory."""
+        volume, state = self.volume, self._state
+        weights = pixel_weights(batch, self.options.weighting, step=volume.truncation)
         if state is None:
             weighted = weights is not None
-            _require_memory(volume, batch, frames, weighted=weighted)
-            value, state_type = depth_field(batch.depth.dtype, weighted=weighted)
-            state = _empty_state(state_type, volume, batch, frames, weighted=weighted)
-        last = first + len(batch)
-        wp.copy(state.depth[first:last], batch.depth)
-        if weighted:
-            wp.copy(state.pixel_weights[first:last], weights)
-        _note_frames(state, volume, batch, first)
-        first = last
-    assert first == frames, "as many frames as were announced"
-    return Oracle(value, state_type, state)
+            _require_memory(volume, batch, self.frames, weighted=weighted)
+            self._value, self._state_type = depth_value(batch.depth.dtype, weighted=weighted)
+            state = self._state = _empty_state(self._state_type, volume, batch, self.frames, weighted=weighted)
+        images = slice(self._count, self._count + len(batch))
+        wp.copy(state.depth[images], batch.depth)
+        if weights is not None:
+            wp.copy(state.pixel_weights[images], weights)
+        matrices = frame_matrices(batch, volume.voxel_size)
+        wp.copy(state.pixel_from_lattice[images], matrices.pixel_from_lattice)
+        tiles = survey_batch(batch, truncation=volume.truncation)
+        masks = visible_blocks(volume.table, batch, tiles, matrices, truncation=volume.truncation)
+        launch_in_slabs(
+            _spread_masks,
+            dim=PARTS * volume.table.count,
+            inputs=[volume.table.blocks, volume.table.keys, volume.table.numbers, masks, self._count],
+            outputs=[state.masks],
+            device=volume.device,
+            least_slab=1024,
+        )
+        self._count += len(batch)
+
+    def oracle(self) -> Oracle:
+        """Return the oracle of all frames."""
+        assert self._count == self.frames, "as many frames as were announced"
+        return Oracle(self._value, self._state_type, self._state)
 
 
 def _require_memory(volume: Volume, batch: FrameBatch, frames: int, *, weighted: bool) -> None:
@@ -210,8 +237,8 @@ def _require_memory(volume: Volume, batch: FrameBatch, frames: int, *, weighted:
     free = free_memory(volume.device)
     if needed > MEMORY_SHARE * free:
         raise InputError(
-            f"--oracle depth: {frames} depth images take {needed / 2**30:.1f} GiB, and {free / 2**30:.1f} GiB are free; "
-            "take fewer --frames, or --oracle volume"
+            f"--oracle depth: {frames} depth images take {needed / 2**30:.1f} GiB, of {free / 2**30:.1f} GiB that are "
+            "free; take fewer --frames, or --oracle volume"
         )
 
 
@@ -229,20 +256,3 @@ def _empty_state(state_type: Any, volume: Volume, batch: FrameBatch, frames: int
     state.behind = BEHIND * volume.voxel_size / volume.truncation
     state.voxels_a_truncation = volume.truncation / volume.voxel_size
     return state
-
-
-def _note_frames(state: Any, volume: Volume, batch: FrameBatch, first: int) -> None:
-    """Enter a batch's matrices, and which parts of blocks its frames may see."""
-    device, table = volume.device, volume.table
-    matrices = frame_matrices(batch, volume.voxel_size)
-    wp.copy(state.pixel_from_lattice[first : first + len(batch)], matrices.pixel_from_lattice)
-    tiles = survey_batch(batch, truncation=volume.truncation)
-    masks = visible_blocks(table, batch, tiles, matrices, truncation=volume.truncation)
-    launch_in_slabs(
-        _spread_masks,
-        dim=PARTS * table.count,
-        inputs=[table.blocks, table.keys, table.numbers, masks, first],
-        outputs=[state.masks],
-        device=device,
-        least_slab=1024,
-    )

@@ -7,13 +7,15 @@ are in the order of the edges. So nothing depends on which thread is first.
 
 import numpy as np
 
+from fusion.devices import Kernel
 from fusion.surface.dual_contouring.cell_points import Vertices, cell_points
 from fusion.surface.dual_contouring.dual_grid import find_grid
-from fusion.surface.dual_contouring.edge_points import edge_points
-from fusion.surface.dual_contouring.face_points import face_points
+from fusion.surface.dual_contouring.edge_points import edge_points, search_kernel
+from fusion.surface.dual_contouring.face_points import face_kernel, face_points
 from fusion.surface.dual_contouring.oracle import Oracle
 from fusion.surface.dual_contouring.pins import place_pins
 from fusion.surface.dual_contouring.quads import cut_quads
+from fusion.surface.dual_contouring.signs import sign_kernel
 from fusion.surface.mesh import Mesh
 from fusion.volume.tsdf_volume import Volume
 
@@ -23,11 +25,11 @@ def dual_contouring(
 ) -> Mesh:
     """Return the volume's surface as a manifold mesh in world coordinates, with colours, that never meets itself.
 
-    Which voxels are inside and where the surface passes between them is what ``oracle`` answers, which is asked near the
-    volume's surface, or without one what the volume's trilinear field says. A voxel counts as seen where its weight is over
-    ``min_weight`` (≥ 0). There is a quad around an edge where all four cells there have eight seen corners, and nowhere
-    else: the mesh is open at the border of what was observed, half a cell before marching cubes' is. ``normals`` asks
-    for the vertices' normals.
+    Which voxels are inside and where the surface passes between them is what ``oracle`` answers, which is asked near
+    the volume's surface, or without one what the volume's trilinear field says. A voxel counts as seen where its weight
+    is over ``min_weight`` (≥ 0). There is a quad around an edge where all four cells there have eight seen corners, and
+    nowhere else: the mesh is open at the border of what was observed, about half a voxel before marching cubes' is.
+    ``normals`` asks for the vertices' normals.
     """
     assert min_weight >= 0, "an unseen voxel's weight is 0"
     grid, counts = find_grid(volume, oracle, min_weight=min_weight)
@@ -37,6 +39,12 @@ def dual_contouring(
     pins = place_pins(volume, grid, counts, along, curve_points, cells)
     cut = cut_quads(volume, grid, counts, along, places, cells)
     return _mesh([cells, pins, cut.fans], cut.triangles.numpy(), normals=normals)
+
+
+def oracle_kernels(oracle: Oracle) -> list[Kernel]:
+    """Return the kernels that are made for an oracle, to be compiled ahead."""
+    asked = (sign_kernel, search_kernel, face_kernel)
+    return [make(oracle.value, oracle.state_type) for make in asked]
 
 
 def _mesh(vertices: list[Vertices], triangles: np.ndarray, *, normals: bool) -> Mesh:

@@ -17,7 +17,6 @@ from fusion.surface.dual_contouring.face_points import (
     face_u,
     face_v,
     is_ambiguous,
-    outside_corner,
     pattern_of,
     point_on_edge,
 )
@@ -41,7 +40,7 @@ def as_bytes(total: wp.vec4) -> wp.vec3ub:
 
 
 @wp.func
-def is_in_hull(point: wp.vec2, pattern: int, ends: wp.vec2i) -> bool:
+def is_in_hull(point: wp.vec2, ends: wp.vec2i) -> bool:
     """Return whether a point of a face is well within the hull of the two edges that a curve joins."""
     if wp.min(point) < _INSET or wp.max(point) > 1.0 - _INSET:
         return False
@@ -132,14 +131,18 @@ def _place_pins(
                     point = 0.5 * (a + b)
                     if curve_points.shape[0] > 0:
                         found = meeting_point(a, b, curve_points[curve_number(grid, layer, axis, bit) + curve])
-                        if is_in_hull(found, pattern, ends):
+                        if is_in_hull(found, ends):
                             point = found
-                    place = wp.vec3(float(corner[0] + voxel[0]), float(corner[1] + voxel[1]), float(corner[2] + voxel[2]))
+                    place = wp.vec3(
+                        float(corner[0] + voxel[0]), float(corner[1] + voxel[1]), float(corner[2] + voxel[2])
+                    )
                     place[face_u(axis)] += point[0]
                     place[face_v(axis)] += point[1]
                     normal = wp.vec3()
                     color = wp.vec4()
-                    before = place_of(grid.cells.lower, slot, voxel[0] + back[0], voxel[1] + back[1], voxel[2] + back[2])
+                    before = place_of(
+                        grid.cells.lower, slot, voxel[0] + back[0], voxel[1] + back[1], voxel[2] + back[2]
+                    )
                     for end in range(2):
                         for side in range(2):
                             at = wp.vec2i(layer, bit)

@@ -17,7 +17,7 @@ from warp.utils import array_scan
 from fusion.devices import launch_in_slabs
 from fusion.surface.dual_contouring.cell_points import Vertices
 from fusion.surface.dual_contouring.dual_grid import Counts, DualGrid, pin_number, place_of
-from fusion.surface.dual_contouring.face_points import face_u, is_ambiguous, pattern_of
+from fusion.surface.dual_contouring.face_points import face_u
 from fusion.surface.dual_contouring.pins import as_bytes, vertex_of_edge
 from fusion.surface.dual_contouring.qef import INSET
 from fusion.surface.layers import NONE, lowest_bit, number_of, step_along, vertex_number
@@ -32,10 +32,11 @@ _NOT_ALLOWED = wp.constant(2.0)
 
 @wp.struct
 class Quads:
-    """The quads (n,): ``corners`` the numbers of cells' vertices, ``pins`` those of the vertices on the faces between a
-    corner and the next, −1 for none; counter-clockwise around the edge, which ``flipped`` (1) quads face against.
-    ``splits``: 0 for the diagonal from corner 0, 1 from corner 1, 2 for a fan. ``starts`` (n + 1,) how many triangles
-    and fans come before. ``places`` (n,) 192·layer + 64·axis + bit of the edges.
+    """The quads (n,), counter-clockwise around their edges; those that face against that are ``flipped`` (1).
+
+    ``corners`` the numbers of cells' vertices, ``pins`` those of the vertices on the faces between a corner and the
+    next, −1 for none. ``splits``: 0 for the diagonal from corner 0, 1 from corner 1, 2 for a fan. ``starts`` (n + 1,)
+    how many triangles and fans come before. ``places`` (n,) 192·layer + 64·axis + bit of the edges.
     """
 
     corners: wp.array(dtype=wp.vec4i)

@@ -56,15 +56,12 @@ def sign_kernel(value: Any, state_type: Any) -> Kernel:
         while left != NONE:
             bit = lowest_bit(left)
             one = left & (~left + wp.uint64(1))
-            point = wp.vec3(
-                float(corner[0] + (bit & 7)), float(corner[1] + (bit >> 3)), float(corner[2] + (layer & 7))
-            )
+            point = wp.vec3(float(corner[0] + (bit & 7)), float(corner[1] + (bit >> 3)), float(corner[2] + (layer & 7)))
             answer = value(state, number, point)
             if is_known(answer):
+                inside = inside & ~one
                 if answer < 0.0:
                     inside = inside | one
-                else:
-                    inside = inside & ~one
             left = left ^ one
         cells.inside[layer] = inside
         changes[layer] = wp.bit_count(before ^ inside)

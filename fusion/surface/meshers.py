@@ -1,0 +1,30 @@
+"""Which way a volume is meshed."""
+
+from typing import Literal, TypeAlias
+
+from fusion.surface.dual_contouring.dual_contouring import dual_contouring
+from fusion.surface.dual_contouring.oracle import Oracle
+from fusion.surface.marching_cubes import marching_cubes
+from fusion.surface.mesh import Mesh
+from fusion.volume.tsdf_volume import Volume
+
+Mesher: TypeAlias = Literal["marching-cubes", "dual-contouring"]
+OracleName: TypeAlias = Literal["volume", "depth"]
+"""What dual contouring asks: the volume's trilinear field, or the continuous one of the depth images."""
+
+_DUAL_CONTOURING = ("dual_grid", "edge_points", "cell_points", "pins", "quads")
+KERNEL_MODULES: dict[Mesher, tuple[str, ...]] = {
+    "marching-cubes": ("fusion.surface.cells", "fusion.surface.marching_cubes"),
+    "dual-contouring": (
+        "fusion.surface.cells",
+        *(f"fusion.surface.dual_contouring.{name}" for name in _DUAL_CONTOURING),
+    ),
+}
+
+
+def mesh_volume(volume: Volume, mesher: Mesher, *, oracle: Oracle | None = None, min_weight: float = 0.0) -> Mesh:
+    """Return a volume's surface as a mesh; ``oracle`` is dual contouring's, None for the volume itself."""
+    if mesher == "dual-contouring":
+        return dual_contouring(volume, oracle=oracle, min_weight=min_weight)
+    assert oracle is None, "marching cubes asks the volume alone"
+    return marching_cubes(volume, min_weight=min_weight)
