@@ -11,9 +11,10 @@ import warp as wp
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from fusion.devices import Device
-from fusion.surface.closest_points import closest_points
+from fusion.devices import Device, launch_in_slabs
 from fusion.surface.mesh import Mesh
+
+wp.set_module_options({"enable_backward": False})
 
 NODES = 96
 """Along the longest side of the box."""
@@ -35,12 +36,11 @@ class DistanceGrid:
 
 
 def distance_grid(mesh: Mesh, *, device: Device, nodes: int = NODES) -> DistanceGrid:
-    """Return the grid around ``mesh``, whose vertices have normals and lie closer than the grid's nodes.
+    """Return the grid around ``mesh``, whose vertices lie closer together than the grid's nodes.
 
     Next to the surface the distance is exact, to the closest triangle; farther out it is that to the closest point of
     the nearest node that is next to the surface, right to a small share of the spacing.
     """
-    assert mesh.normals is not None, "the sign of a distance is told by normals"
     low, high = mesh.vertices.min(axis=0).astype(np.float64), mesh.vertices.max(axis=0).astype(np.float64)
     side = float((high - low).max())
     margin = min(MARGIN_SHARE * side, LARGEST_MARGIN)
@@ -49,7 +49,8 @@ def distance_grid(mesh: Mesh, *, device: Device, nodes: int = NODES) -> Distance
     origin = low - margin
     near = _nodes_next_to(mesh.vertices, origin, spacing, shape)
     near_positions = origin + spacing * near
-    feet, signs = _closest(mesh, near_positions, device)
+    # A node next to the surface is within two cells of a point of it.
+    feet, signs = _closest(mesh, near_positions, 4 * spacing, device)
     foot_of = np.zeros((*shape, 3), np.float32)
     sign_of = np.zeros(tuple(shape), np.float32)
     outside = np.ones(tuple(shape), bool)
@@ -57,7 +58,8 @@ def distance_grid(mesh: Mesh, *, device: Device, nodes: int = NODES) -> Distance
     foot_of[at], sign_of[at], outside[at] = feet - origin, signs, False
     nearest = ndimage.distance_transform_edt(outside, return_distances=False, return_indices=True)
     positions = spacing * np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1, dtype=np.float32)
-    distances = np.linalg.norm(positions - foot_of[tuple(nearest)], axis=-1) * sign_of[tuple(nearest)]
+    signs_everywhere = _sides_of_regions(sign_of[tuple(nearest)], outside)
+    distances = np.linalg.norm(positions - foot_of[tuple(nearest)], axis=-1) * signs_everywhere
     return DistanceGrid(
         distances=wp.array(distances.astype(np.float32), dtype=float, device=device),
         origin_world=origin,
@@ -75,38 +77,45 @@ def _nodes_next_to(
     return np.argwhere(wide)
 
 
+@wp.kernel
+def _feet(
+    first: int,
+    mesh: wp.uint64,
+    points: wp.array(dtype=wp.vec3),
+    reach: float,
+    feet: wp.array(dtype=wp.vec3),
+    signs: wp.array(dtype=float),
+) -> None:
+    index = wp.tid() + first
+    # The sign is that of the mean normal of all triangles that touch the closest point.
+    query = wp.mesh_query_point_sign_normal(mesh, points[index], reach)
+    feet[index] = wp.mesh_eval_position(mesh, query.face, query.u, query.v)
+    signs[index] = query.sign
+
+
 def _closest(
-    mesh: Mesh, positions: NDArray[np.float64], device: Device
+    mesh: Mesh, positions: NDArray[np.float64], reach: float, device: Device
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the closest points (n, 3) of the mesh, and on which side of it the positions are (n,), ±1."""
-    found = closest_points(mesh, positions, device=device)
-    corners = mesh.vertices[mesh.triangles[found.triangles]].astype(np.float64)
-    feet = _closest_in_triangles(corners, positions)
-    assert mesh.normals is not None
-    # The closest vertex' normal tells the sides apart at edges, too, where the triangles' own normals disagree.
-    share = 1 / (np.linalg.norm(feet[:, None] - corners, axis=2) + 1e-12)
-    normals = (mesh.normals[mesh.triangles[found.triangles]] * share[..., None]).sum(axis=1)
-    sides = np.where(((positions - feet) * normals).sum(axis=1) < 0, -1.0, 1.0)
-    return feet, sides
+    centre = positions.mean(axis=0)
+    hierarchy = wp.Mesh(
+        points=wp.array((mesh.vertices - centre).astype(np.float32), dtype=wp.vec3, device=device),
+        indices=wp.array(mesh.triangles.ravel(), dtype=int, device=device),
+    )
+    points = wp.array((positions - centre).astype(np.float32), dtype=wp.vec3, device=device)
+    feet = wp.empty(len(positions), dtype=wp.vec3, device=device)
+    signs = wp.empty(len(positions), dtype=float, device=device)
+    launch_in_slabs(
+        _feet, dim=len(positions), inputs=[hierarchy.id, points, reach], outputs=[feet, signs], device=device
+    )
+    return feet.numpy() + centre, signs.numpy().astype(np.float64)
 
 
-def _closest_in_triangles(corners: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the point of each triangle (n, 3, 3) that is closest to each of ``points`` (n, 3)."""
-    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-    normal = np.cross(b - a, c - a)
-    area = (normal**2).sum(axis=1)
-    safe = np.where(area > 0, area, 1)
-    v = (np.cross(points - a, c - a) * normal).sum(axis=1) / safe
-    w = (np.cross(b - a, points - a) * normal).sum(axis=1) / safe
-    inside = (area > 0) & (v >= 0) & (w >= 0) & (v + w <= 1)
-    best = a + v[:, None] * (b - a) + w[:, None] * (c - a)
-    least = np.where(inside, -1.0, np.inf)
-    for start, end in ((a, b), (b, c), (c, a)):
-        edge = end - start
-        length = np.maximum((edge**2).sum(axis=1), 1e-30)
-        along = np.clip(((points - start) * edge).sum(axis=1) / length, 0, 1)
-        candidate = start + along[:, None] * edge
-        distance = ((points - candidate) ** 2).sum(axis=1)
-        nearer = distance < least
-        best[nearer], least[nearer] = candidate[nearer], distance[nearer]
-    return best
+def _sides_of_regions(signs: NDArray[np.float32], far: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Give each connected region of nodes ``far`` from the surface the side that most of its nodes have been given.
+
+    Sides were carried outward from the nearest node next to the surface: one wrong sign there is a wedge of them here.
+    """
+    regions, count = ndimage.label(far)
+    most = np.sign(ndimage.sum(signs, regions, np.arange(count + 1)))
+    return np.where(far, np.where(most == 0, 1, most)[regions], signs).astype(np.float32)

@@ -1,0 +1,329 @@
+"""Refinement by the silhouette: the model's soft outline is brought onto the query's mask.
+
+Residuals are the differences in coverage between the model's soft silhouette and the mask blurred by the same Gaussian,
+which is right to fractions of a pixel though the mask is not. From a wide blur on a small image to a narrow one at full
+size, Gauss–Newton with the tape's Jacobian moves the pose on SE(3). An outline that something hides is an outlier.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from datagen.camera import PinholeCamera
+from datagen.rigid import Matrix, inverse, rigid, transform_points
+from fusion.pose.levenberg_marquardt import Descent, descend
+from fusion.pose.normal_equations import Normals
+from fusion.pose.pose_model import PoseModel
+from fusion.pose.query import Query
+from fusion.pose.refinement import Refinement, declined
+from fusion.pose.se3 import perturb
+from fusion.pose.soft_silhouette import soft_silhouette
+from fusion.pose.uncertainty import uncertainty
+
+FEWEST_PIXELS = 50
+_COARSE_WIDTH, _FINE_WIDTH = 80, 320
+_BAND_SIGMAS = 4.0
+_LEAST_COVERAGE_SPREAD = 0.02
+"""Coverage of a pixel is not known better than this: the mask is made of whole pixels."""
+_TURN_OF_STARTS_DEG = 30.0
+_KEPT_STARTS = 2
+_GOOD_IOU = 0.9
+_EDGE_NOISE_PX = 0.3
+"""Standard deviation of a mask's edge, which lies anywhere between two pixels' centres: 1/√12, rounded up."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SilhouetteRefinementOptions:
+    """How a pose is refined by the silhouette.
+
+    ``starts``: the given pose alone, many turned about it, or, with auto, many only where one does not fit.
+    """
+
+    starts: Literal["auto", "one", "many"] = "auto"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Level:
+    """One size of the image and one width of the blur: what the silhouette is compared with.
+
+    ``pixels`` (n, 2) of ``camera``, ``target`` (n,) the blurred mask there; ``softness_px`` in that camera's pixels. A
+    step that moves the model by less than the share ``enough`` of its size is the last.
+    """
+
+    camera: PinholeCamera
+    pixels: NDArray[np.float64]
+    target: NDArray[np.float64]
+    softness_px: float
+    iterations: int
+    enough: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Problem:
+    """A mask against a model, with the point that the pose turns about and the model's size, metres."""
+
+    model: PoseModel
+    mask: NDArray[np.bool_]
+    camera: PinholeCamera
+    pivot_world: NDArray[np.float64]
+    radius: float
+
+    def normals(self, level: _Level, pose: Matrix) -> Normals:
+        """Return the normal equations of one pose; residuals are shares of coverage."""
+        seen = soft_silhouette(
+            self.model,
+            level.camera,
+            level.pixels,
+            pose,
+            softness_px=level.softness_px,
+            pivot_world=self.pivot_world,
+        )
+        residuals = seen.coverage - level.target
+        # Geman and McClure's kernel: an edge that is off by more than about σ counts less and less.
+        scale = max(0.4, 2 * float(np.sqrt(np.mean(residuals**2))))
+        share = (residuals / scale) ** 2
+        weights = 1 / (1 + share) ** 2
+        weighted = weights[:, None] * seen.jacobian
+        return Normals(
+            hessian=(weighted.T @ seen.jacobian)[None],
+            gradient=(weighted.T @ residuals)[None],
+            cost=np.array([float(np.mean(0.5 * scale**2 * share / (1 + share)))]),
+            known=np.array([float(np.isfinite(seen.edge_px).mean())]),
+            inliers=np.array([float((np.abs(residuals) < 0.25).mean())]),
+            weight=np.array([float(weights.sum())]),
+            squares=np.array([float((weights * residuals**2).sum())]),
+        )
+
+    def descend(self, level: _Level, pose: Matrix) -> Descent:
+        return descend(
+            lambda poses: self.normals(level, poses[0]),
+            pose[None],
+            pivot_world=self.pivot_world,
+            radius_m=self.radius,
+            iterations=level.iterations,
+            enough_m=level.enough * self.model.diameter,
+        )
+
+
+def refine_with_silhouette(
+    model: PoseModel,
+    query: Query,
+    world_from_camera: Matrix,
+    *,
+    options: SilhouetteRefinementOptions | None = None,
+) -> Refinement:
+    """Refine the pose of ``query`` from the start ``world_from_camera`` by its mask, or the one that its depth tells.
+
+    Residuals are pixels of the query's image; ``overlap`` is the masks' intersection over union. Where it declines, the
+    start is handed back. Raises InputError for a start that is not rigid.
+    """
+    options = options or SilhouetteRefinementOptions()
+    start = rigid(world_from_camera, source="start of the refinement")
+    mask = query.mask if query.mask is not None else silhouette_from_depth(model, query, start)
+    if mask is None:
+        return declined("silhouette", start, "the query has neither a mask nor a depth that tells one", unit="px")
+    count = int(mask.sum())
+    if count < FEWEST_PIXELS:
+        reason = f"the mask has {count} pixels, fewer than the {FEWEST_PIXELS} that make an outline"
+        return declined("silhouette", start, reason, used=count, unit="px")
+    if _outline_pixels(mask) < FEWEST_PIXELS:
+        return declined("silhouette", start, "the mask's outline is not in the image", used=count, unit="px")
+    problem = _Problem(
+        model=model,
+        mask=mask,
+        camera=query.camera,
+        pivot_world=model.centre_world,
+        radius=0.3 * model.diameter,
+    )
+    levels = _levels(mask, query.camera)
+    best: tuple[float, Matrix, Descent] | None = None
+    if options.starts != "many":
+        best = _from_one(problem, levels, start)
+    if best is None or (options.starts == "auto" and best[0] < _GOOD_IOU):
+        found = _from_many(problem, levels, start)
+        best = found if best is None or found[0] > best[0] + 0.01 else best
+    return _result(problem, levels[-1], best, start)
+
+
+def silhouette_from_depth(model: PoseModel, query: Query, start: Matrix) -> NDArray[np.bool_] | None:
+    """Return the mask (height, width) that depth tells: what lies no farther from the model's middle than its surface.
+
+    The middle is where ``start`` has it, so the start has to be right to a share of the model's size. None where the
+    query has no depth.
+    """
+    if query.depth is None:
+        return None
+    depth = query.valid_depth()
+    middle = transform_points(inverse(start), model.centre_world)
+    apart = np.linalg.norm(query.camera.back_project(depth) - middle, axis=-1)
+    near = (depth > 0) & (apart < 0.75 * model.diameter)
+    regions, count = ndimage.label(near)
+    if not count:
+        return near
+    sizes = np.bincount(regions.ravel())
+    sizes[0] = 0
+    return np.asarray(regions == sizes.argmax())
+
+
+def _outline_pixels(mask: NDArray[np.bool_]) -> int:
+    """Count the mask's pixels that have a neighbour outside of it, within the image."""
+    inner = ndimage.binary_erosion(mask, border_value=1)
+    return int((mask & ~inner).sum())
+
+
+def _levels(mask: NDArray[np.bool_], camera: PinholeCamera) -> list[_Level]:
+    """Return what the silhouette is compared with, coarse to fine."""
+    coarse = max(round(camera.width / _COARSE_WIDTH), 1)
+    middle = max(round(camera.width / (2 * _COARSE_WIDTH)), 1)
+    fine = max(round(camera.width / _FINE_WIDTH), 1)
+    return [
+        _level(mask, camera, coarse, 3.0, 8, 3e-3, everywhere=True),
+        _level(mask, camera, coarse, 1.2, 6, 1e-3, everywhere=True),
+        _level(mask, camera, middle, 1.0, 6, 5e-4),
+        _level(mask, camera, fine, 0.8, 8, 1e-4),
+    ]
+
+
+def _level(
+    mask: NDArray[np.bool_],
+    camera: PinholeCamera,
+    step: int,
+    softness_px: float,
+    iterations: int,
+    enough: float,
+    *,
+    everywhere: bool = False,
+) -> _Level:
+    """Return one level; but for ``everywhere``, of the pixels near the mask's edge alone."""
+    blurred = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), step * softness_px, borderType=cv2.BORDER_REPLICATE)[
+        ::step, ::step
+    ]
+    small = camera.subsampled(step)
+    wanted = np.ones(blurred.shape, bool)
+    if not everywhere:
+        reach = int(np.ceil(_BAND_SIGMAS * softness_px * step))
+        kernel = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
+        binary = mask.astype(np.uint8)
+        wanted = (cv2.dilate(binary, kernel) > cv2.erode(binary, kernel))[::step, ::step]
+    v, u = np.nonzero(wanted)
+    return _Level(
+        camera=small,
+        pixels=np.stack([u, v], axis=-1).astype(np.float64),
+        target=blurred[v, u].astype(np.float64),
+        softness_px=softness_px,
+        iterations=iterations,
+        enough=enough,
+    )
+
+
+def _from_one(problem: _Problem, levels: list[_Level], start: Matrix) -> tuple[float, Matrix, Descent]:
+    """Descend through all levels; returns the overlap, the pose and the last descent."""
+    pose = start
+    if _overlap(problem, levels[0], pose) < 0.5:
+        pose = _shifted_onto_mask(problem, levels[0], pose)
+    spent = 0
+    for level in levels:
+        found = problem.descend(level, pose)
+        pose, spent = found.poses[0], spent + found.iterations
+    return _overlap(problem, levels[1], pose), pose, replace(found, iterations=spent)
+
+
+def _from_many(problem: _Problem, levels: list[_Level], start: Matrix) -> tuple[float, Matrix, Descent]:
+    """Descend the coarse levels from many starts, and all levels from the best of them."""
+    golden = (1 + 5**0.5) / 2
+    axes = np.array([np.roll((0, a, b * golden), k) for k in range(3) for a in (-1, 1) for b in (-1, 1)], np.float64)
+    twists = np.zeros((len(axes) + 1, 6))
+    twists[1:, 3:] = np.radians(_TURN_OF_STARTS_DEG) * axes / np.linalg.norm(axes[0])
+    shifted = _shifted_onto_mask(problem, levels[0], start)
+    candidates = []
+    for pose in perturb(twists, shifted, pivot_world=problem.pivot_world):
+        found = problem.descend(levels[0], _shifted_onto_mask(problem, levels[0], pose))
+        candidates.append((_overlap(problem, levels[1], found.poses[0]), found.poses[0]))
+    candidates.sort(key=lambda candidate: -candidate[0])
+    return max((_from_one(problem, levels, pose) for _, pose in candidates[:_KEPT_STARTS]), key=lambda found: found[0])
+
+
+def _coverage(problem: _Problem, level: _Level, pose: Matrix) -> NDArray[np.float64]:
+    return soft_silhouette(
+        problem.model,
+        level.camera,
+        level.pixels,
+        pose,
+        softness_px=level.softness_px,
+        pivot_world=problem.pivot_world,
+        with_jacobian=False,
+    ).coverage
+
+
+def _overlap(problem: _Problem, level: _Level, pose: Matrix) -> float:
+    """Return the intersection over union of the silhouettes at a level that has all pixels."""
+    ours, theirs = _coverage(problem, level, pose) > 0.5, level.target > 0.5
+    return float((ours & theirs).sum() / max((ours | theirs).sum(), 1))
+
+
+def _shifted_onto_mask(problem: _Problem, level: _Level, pose: Matrix) -> Matrix:
+    """Shift the camera so that the silhouette's middle and area become the mask's."""
+    for _step in range(2):
+        covered = _coverage(problem, level, pose)
+        middle_camera = transform_points(inverse(pose), problem.pivot_world)
+        target = np.average(level.pixels, axis=0, weights=level.target)
+        camera = level.camera
+        if covered.sum() < 1 or middle_camera[2] <= 0:
+            # The model is not in the image: its middle goes onto the mask's, as far away as it is.
+            seen, zoom = camera.project(np.array([0.0, 0.0, 1.0])), 1.0
+            middle_camera = np.array([0.0, 0.0, np.linalg.norm(middle_camera)])
+        else:
+            seen = np.average(level.pixels, axis=0, weights=covered)
+            zoom = float(np.clip(np.sqrt(covered.sum() / level.target.sum()), 0.5, 2.0))
+        z = middle_camera[2]
+        wanted = middle_camera * zoom
+        wanted[:2] += (target - seen) * z * zoom / np.array([camera.fx, camera.fy])
+        moved = pose.copy()
+        moved[:3, 3] = problem.pivot_world - pose[:3, :3] @ wanted
+        pose = moved
+    return pose
+
+
+def _result(problem: _Problem, level: _Level, best: tuple[float, Matrix, Descent], start: Matrix) -> Refinement:
+    """Return what was found, with its uncertainty in pixels of the finest level."""
+    overlap, pose, found = best
+    seen = soft_silhouette(
+        problem.model,
+        level.camera,
+        level.pixels,
+        pose,
+        softness_px=level.softness_px,
+        pivot_world=problem.pivot_world,
+        with_jacobian=False,
+    )
+    step = problem.camera.fx / level.camera.fx
+    at_edge = (level.target > 0.1) & (level.target < 0.9)
+    # Coverage changes by 1/(σ √2π) a pixel at the edge.
+    off_px = (seen.coverage - level.target) * level.softness_px * np.sqrt(2 * np.pi) * step
+    near = np.abs(off_px[at_edge]) < step
+    if not near.any() or not np.isfinite(pose).all():
+        reason = "the model's outline does not come near the mask's"
+        return declined("silhouette", start, reason, used=len(level.pixels), unit="px")
+    residual = float(np.sqrt(np.mean(off_px[at_edge][near] ** 2)))
+    settled = float(found.last_steps_m[0]) < 1e-3 * problem.model.diameter
+    spread = max(float(np.sqrt(found.normals.squares[0] / found.normals.weight[0])), _LEAST_COVERAGE_SPREAD)
+    return Refinement(
+        stage="silhouette",
+        world_from_camera=pose,
+        converged=settled,
+        reason="" if settled else f"its last step was still {1000 * found.last_steps_m[0]:.2g} mm",
+        residual=residual,
+        expected=_EDGE_NOISE_PX,
+        unit="px",
+        inlier_share=float(near.mean()),
+        overlap=overlap,
+        used=len(level.pixels),
+        iterations=found.iterations,
+        uncertainty=uncertainty(
+            found.normals.hessian[0], sigma=spread, pivot_world=problem.pivot_world, radius_m=problem.radius
+        ),
+    )
