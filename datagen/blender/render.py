@@ -57,7 +57,9 @@ def configure_render(scene: bpy.types.Scene, settings: RenderSettings, *, thread
     cycles.use_animated_seed = False
     cycles.use_denoising = settings.denoise
     cycles.denoiser = "OPENIMAGEDENOISE"
-    cycles.denoising_quality = cycles.denoising_prefilter = "FAST"
+    cycles.denoising_quality = "FAST"
+    cycles.denoising_input_passes = "RGB_ALBEDO_NORMAL" if settings.denoise_guided else "RGB"
+    cycles.denoising_prefilter = "FAST" if settings.denoise_guided else "NONE"
     first, *others = scene.view_layers
     first.use = first.use_pass_z = True
     first.use_pass_object_index = "masks" in settings.layers

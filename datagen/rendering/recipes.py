@@ -12,7 +12,7 @@ IRRELEVANT_TO_FRAMES = {"description"}
 
 
 def recipe_of(scene: Scene) -> dict[str, Any]:
-    """Return all that decides what a dataset's frames show, ready for JSON; models by name and SHA-256, wherever they lie."""
+    """Return all that decides what a dataset's frames show, ready for JSON; models by name and SHA-256."""
     return portable(scene.model_dump(mode="json", exclude=IRRELEVANT_TO_FRAMES))
 
 

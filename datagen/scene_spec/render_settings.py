@@ -11,9 +11,9 @@ RenderedLayer = Literal["normals", "masks", "flow"]
 
 PRESETS: MappingProxyType[str, dict[str, Any]] = MappingProxyType(
     {
-        "draft": {"samples": 2, "bounces": 2, "denoise": True},
-        "standard": {"samples": 4, "bounces": 4, "denoise": True},
-        "high": {"samples": 128, "bounces": 8, "denoise": True},
+        "draft": {"samples": 1, "bounces": 2, "denoise": True, "denoise_guided": False},
+        "standard": {"samples": 4, "bounces": 4, "denoise": True, "denoise_guided": True},
+        "high": {"samples": 32, "bounces": 8, "denoise": True, "denoise_guided": True},
     }
 )
 """Settings that trade time for quality, measured by ``benchmarks/render.py``."""
@@ -36,6 +36,7 @@ class RenderSettings(Spec):
     frames_per_second: Positive = 30.0
     bounces: int = Field(default=4, ge=0, le=64)
     denoise: bool = True
+    denoise_guided: bool = True
     layers: tuple[RenderedLayer, ...] = Field(default=(), strict=False)
 
     @field_validator("layers")
