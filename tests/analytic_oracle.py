@@ -120,6 +120,10 @@ def rotation(rng):
     return q if np.linalg.det(q) > 0 else -q
 
 
+def ball(centre, radius):
+    return Solid((SPHERE,), (UNION,), np.array([centre]), np.full((1, 3), radius), np.eye(3)[None])
+
+
 def cube(rng, half=0.31):
     return Solid((BOX,), (UNION,), rng.uniform(-0.02, 0.02, (1, 3)), np.full((1, 3), half), rotation(rng)[None])
 

@@ -27,7 +27,7 @@ def test_each_crossed_edge_is_in_one_loop(case):
 
 @pytest.mark.parametrize("case", [case for case in range(256) if cell_table().loop_counts[case] > 1])
 def test_the_hulls_of_a_cells_loops_have_no_inner_point_in_common(case):
-    # What keeps sheets in one cell apart: the largest ball within two hulls at once has radius 0.
+    # What keeps sheets in one cell apart: no ball fits into two hulls at once.
     hulls = [ConvexHull(CORNERS[np.unique(EDGE_CORNERS[loop])].astype(float)).equations for loop in loops_of(case)]
     for one, other in itertools.combinations(hulls, 2):
         planes = np.concatenate([one, other])
@@ -37,7 +37,7 @@ def test_the_hulls_of_a_cells_loops_have_no_inner_point_in_common(case):
             b_ub=-planes[:, 3],
             bounds=[(None, None)] * 4,
         )
-        assert -ball.fun == pytest.approx(0, abs=1e-9)
+        assert -ball.fun <= 1e-9
 
 
 def test_both_cells_at_a_face_number_its_curves_alike():
