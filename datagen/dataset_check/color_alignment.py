@@ -28,7 +28,7 @@ FLAT = 4.0
 LEAST_PROMINENCE = 6.0
 """Standard deviations by which the best offset stands out from all others where it is one at all."""
 
-ZOOMED_FRAMES = 24
+ZOOMED_FRAMES = 16
 LEAST_ZOOMED_PROMINENCE, LEAST_ZOOMED_SIGNIFICANCE = 3.5, 8.0
 
 ZOOMS = tuple(1 + 0.02 * step for step in range(-7, 8) if step)

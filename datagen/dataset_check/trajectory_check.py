@@ -10,11 +10,11 @@ from datagen.dataset_check.findings import Finding
 from datagen.dataset_check.frame_facts import FrameFacts
 from datagen.dataset_check.wording import counted, listed
 
-JUMP_FACTOR = 6.0
-"""Between a step and the nine-tenths quantile of all steps."""
+JUMP_FACTOR = 4.0
+"""Between a jump and the longest of the other steps."""
 
 MOST_JUMPS = 0.05
-"""Beyond this share of the frames the camera is meant to jump."""
+"""Beyond this share of the frames, and two, the camera is meant to jump."""
 
 CHANGED_DEPTH = 0.02
 """Relative change of depth, in the median over the image, by which something has clearly moved."""
@@ -57,7 +57,7 @@ def _jumps(usable: Sequence[FrameFacts]) -> list[Finding]:
     rotation = np.degrees(np.arccos(np.clip(cosine, -1, 1))) / np.maximum(steps, 1)
     jumped = _beyond(translation, 0.02 * depth) | _beyond(rotation, 2.0)
     at = np.flatnonzero(jumped)
-    if not 0 < len(at) <= max(2, MOST_JUMPS * len(steps)):
+    if not 0 < len(at) <= _most_jumps(len(steps)):
         return []
     images = np.array([_depth_change(before, after) for before, after in pairwise(usable)])
     steady = images[at] <= 2 * np.median(images[~jumped]) + 0.01
@@ -99,7 +99,12 @@ def _jumps(usable: Sequence[FrameFacts]) -> list[Finding]:
 
 
 def _beyond(steps: NDArray[np.float64], least: float) -> NDArray[np.bool_]:
-    return steps > max(JUMP_FACTOR * float(np.quantile(steps, 0.9)), least)
+    others = np.sort(steps)[: -_most_jumps(len(steps))]
+    return steps > max(JUMP_FACTOR * float(others[-1]), least)
+
+
+def _most_jumps(steps: int) -> int:
+    return max(2, int(MOST_JUMPS * steps))
 
 
 def _depth_change(before: FrameFacts, after: FrameFacts) -> float:
