@@ -24,16 +24,16 @@ def check_files(facts: Sequence[FrameFacts]) -> list[Finding]:
             Finding(
                 kind="missing-frames",
                 severity="fault",
-                message=f"{counted(len(missing), 'frame')} of {len(facts)} lack files: "
-                f"{listed([each.frame_id for each in missing])} (first: {', '.join(missing[0].missing)}).",
+                message=f"Files are missing for {len(missing)} of {len(facts)} frames: "
+                f"{listed([each.frame_id for each in missing])} (the first lacks: {', '.join(missing[0].missing)}).",
                 remedy="Finish the rendering or recording, or leave these frames out with --frames.",
                 evidence={"frames": {str(each.frame_id): list(each.missing) for each in missing}},
             )
         )
-    for part, kind, what in (
-        ("color", "unreadable-file", "colour images that cannot be read"),
-        ("depth", "unreadable-file", "depth images that cannot be read"),
-        ("pose", "unusable-pose", "poses that cannot be used"),
+    for part, kind, what, ending in (
+        ("color", "unreadable-file", "The colour images of", "cannot be read"),
+        ("depth", "unreadable-file", "The depth images of", "cannot be read"),
+        ("pose", "unusable-pose", "The poses of", "cannot be used"),
     ):
         broken = [each for each in facts if part in each.errors]
         if broken:
@@ -42,7 +42,7 @@ def check_files(facts: Sequence[FrameFacts]) -> list[Finding]:
                 Finding(
                     kind=kind,
                     severity="fault",
-                    message=f"{counted(len(broken), 'frame')} of {len(facts)} have {what}: "
+                    message=f"{what} {len(broken)} of {len(facts)} frames {ending}: "
                     f"{listed([each.frame_id for each in broken])}. The first says: {next(iter(errors.values()))}.",
                     remedy="Copy, render or record them again, or leave these frames out with --frames.",
                     evidence={"errors": errors},
@@ -75,8 +75,8 @@ def check_images(facts: Sequence[FrameFacts]) -> list[Finding]:
             Finding(
                 kind="empty-depth",
                 severity="fault",
-                message=f"{counted(len(empty), 'frame')} of {len(facts)} have depth almost nowhere (less than "
-                f"{EMPTY_SHARE:.1%} of the pixels): {listed(empty)}.",
+                message=f"Depth is almost nowhere (in less than {EMPTY_SHARE:.1%} of the pixels) in {len(empty)} of "
+                f"{len(facts)} frames: {listed(empty)}.",
                 remedy="Look at these frames: is the object out of view, out of range, or the depth not written?",
                 evidence={"frames": empty, "valid_share_below": EMPTY_SHARE},
             )
@@ -87,7 +87,7 @@ def check_images(facts: Sequence[FrameFacts]) -> list[Finding]:
             Finding(
                 kind="uniform-color",
                 severity="note",
-                message=f"{counted(len(uniform), 'frame')} of {len(facts)} have colour images of one colour: "
+                message=f"The colour images of {len(uniform)} of {len(facts)} frames are of one colour: "
                 f"{listed(uniform)}.",
                 remedy="Look at these frames: lights, exposure, a lens cap?",
                 evidence={"frames": uniform},
@@ -111,8 +111,8 @@ def _frozen_images(facts: Sequence[FrameFacts]) -> list[Finding]:
         Finding(
             kind="frozen-frames",
             severity="fault",
-            message=f"{counted(len(frozen), 'frame')} repeat the images of the frame before bit by bit while their "
-            f"poses move on: {listed(frozen)}.",
+            message=f"The images of the frame before are repeated bit by bit, while the poses move on, in "
+            f"{counted(len(frozen), 'frame')}: {listed(frozen)}.",
             remedy="Leave them out: the images do not belong to these poses.",
             evidence={"frames": frozen},
         )

@@ -41,7 +41,7 @@ def _gaps(facts: Sequence[FrameFacts]) -> list[Finding]:
             kind="frame-gaps",
             severity="note",
             message=f"The frames' numbers go up by {usual}, but jump after "
-            f"{listed([int(numbers[i]) for i in wide])}: {counted(lost, 'frame')} seem to be lost.",
+            f"{listed([int(numbers[i]) for i in wide])}: probably {counted(lost, 'frame')} lost.",
             remedy="Nothing, if they were left out on purpose.",
             evidence={"after": [int(numbers[i]) for i in wide], "lost": lost, "usual_step": usual},
         )
@@ -134,8 +134,8 @@ def _frozen_poses(usable: Sequence[FrameFacts]) -> list[Finding]:
         Finding(
             kind="frozen-poses",
             severity="fault",
-            message=f"{counted(len(frozen), 'frame')} repeat the pose of the frame before digit by digit, although "
-            f"what they see changes: {listed(frozen)}.",
+            message=f"The pose of the frame before is repeated digit by digit, although what is seen changes, in "
+            f"{counted(len(frozen), 'frame')}: {listed(frozen)}.",
             remedy="Leave them out: tracking stood still, or the poses were not written.",
             evidence={"frames": frozen},
         )
