@@ -52,6 +52,7 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("--voxel-size", type=float, metavar="M", help="metres; from the data if not given")
     command.add_argument("--truncation", type=float, metavar="M", help="metres; 4 voxels if not given")
     command.add_argument("--depth-max", type=float, metavar="M", help="take farther depths as invalid")
+    _add_depth_layer(command)
     _add_integration(command)
     _add_meshing(command)
     _add_shared(command)
@@ -60,6 +61,7 @@ def _parser() -> argparse.ArgumentParser:
     command = commands.add_parser("locate", help="find the nearest fused pose of each frame")
     command.add_argument("reconstruction", type=Path, help="a folder that fusion reconstruct wrote")
     command.add_argument("dataset", type=Path, help="where the query frames are")
+    _add_depth_layer(command)
     _add_shared(command)
     command.set_defaults(run=_locate)
 
@@ -115,6 +117,12 @@ def _add_integration(command: argparse.ArgumentParser) -> None:
     )
 
 
+def _add_depth_layer(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--depth", metavar="LAYER", help="a layer of the dataset in the place of its depth: sensor_depth"
+    )
+
+
 def _add_meshing(command: argparse.ArgumentParser) -> None:
     defaults = ReconstructionConfig()
     command.add_argument(
@@ -159,6 +167,7 @@ def _reconstruct(options: argparse.Namespace) -> None:
         ),
         mesher=options.mesher,
         oracle=options.oracle,
+        depth_layer=options.depth,
     )
     dataset = open_dataset(options.dataset)
     with on_terminal() as progress:
@@ -171,6 +180,8 @@ def _reconstruct(options: argparse.Namespace) -> None:
 
 def _locate(options: argparse.Namespace) -> None:
     dataset = open_dataset(options.dataset)
+    if options.depth is not None:
+        dataset = dataset.with_depth_layer(options.depth)
     with on_terminal() as progress:
         located = locate(
             options.reconstruction, dataset, frames=options.frames, device=options.device, progress=progress

@@ -64,13 +64,14 @@ def reconstruct(
     """
     require_writable(folder)
     ground_truth = None if dataset.ground_truth_mesh is None else read_mesh(dataset.ground_truth_mesh)
+    seen = dataset if config.depth_layer is None else dataset.with_depth_layer(config.depth_layer)
     device = resolve_device(config.device)
     load_fusion_kernels(config.integration, device=device, progress=progress)
     load_kernels(("fusion.volume.voxel_counts", *KERNEL_MODULES[config.mesher]), device=device, progress=progress)
     start = time.perf_counter()
     clock = Stopwatch(device)
     frame_ids = select_frames(dataset.frame_ids, config.frames)
-    with FrameSource(dataset, frame_ids, depth_max=config.depth_max, batch_size=batch_size(device)) as source:
+    with FrameSource(seen, frame_ids, depth_max=config.depth_max, batch_size=batch_size(device)) as source:
         lengths = choose_lengths(config, lambda: _survey(source, progress))
         fused = fuse(
             source,
@@ -86,7 +87,7 @@ def reconstruct(
     metrics = None
     if ground_truth is not None:
         with clock("evaluate"):
-            metrics = _evaluate(mesh, ground_truth, source, config, lengths, device, progress)
+            metrics = _evaluate(mesh, ground_truth, dataset, frame_ids, config, lengths, device, progress)
     with clock("write"):
         _write_arrays(folder, mesh, fused.volume, progress)
     clock.seconds["total"] = time.perf_counter() - start
@@ -146,7 +147,8 @@ def _depth_oracle(
 def _evaluate(
     mesh: Mesh,
     ground_truth: Mesh,
-    source: FrameSource,
+    dataset: Dataset,
+    frame_ids: tuple[int, ...],
     config: ReconstructionConfig,
     lengths: Lengths,
     device: Device,
@@ -157,7 +159,7 @@ def _evaluate(
         ground_truth,
         thresholds=(lengths.voxel_size / 2, lengths.voxel_size),
         device=device,
-        observed_by=Observers(dataset=source.dataset, frame_ids=source.frame_ids, depth_max=config.depth_max),
+        observed_by=Observers(dataset=dataset, frame_ids=frame_ids, depth_max=config.depth_max),
         voxel_size=lengths.voxel_size,
         progress=progress,
     )

@@ -27,7 +27,8 @@ class ReconstructionConfig:
     ``voxel_size``, ``truncation`` and ``depth_max`` are metres; ``frames`` is START:STOP:STEP; ``device`` auto, cpu or
     cuda[:N]; ``storage`` the form of the volume (``fusion.volume.voxels``); ``integration`` how frames are sampled and
     weighed; only voxels with more than ``min_weight`` are meshed, by ``mesher``; ``oracle`` is what dual contouring
-    asks, and nothing to marching cubes (``fusion.surface.meshers``). Raises InputError for a length that is not from a
+    asks, and nothing to marching cubes (``fusion.surface.meshers``); ``depth_layer`` is a layer of the dataset to
+    fuse in the place of its depth (``Dataset.with_depth_layer``). Raises InputError for a length that is not from a
     micrometre to ten kilometres, and for options that there are not.
     """
 
@@ -41,6 +42,7 @@ class ReconstructionConfig:
     integration: Integration = EXACT
     mesher: Mesher = "marching-cubes"
     oracle: OracleName = "depth"
+    depth_layer: str | None = None
 
     def __post_init__(self) -> None:
         """Refuse lengths that make no volume."""

@@ -30,7 +30,11 @@ KERNEL_MODULES = (
 PAPER = (("Stanford Bunny", 500, 296.67), ("Suzanne", 500, 530.74), ("Table with object", 500, 296.67))
 """Table I of the paper: frames and frames/s on its GPU; on its CPU all had 0.5."""
 
-MESHERS: tuple[tuple[str, str, dict[str, object]], ...] = (("marching-cubes", "marching cubes", {}),)
+MESHERS: tuple[tuple[str, str, dict[str, object]], ...] = (
+    ("marching-cubes", "marching cubes", {}),
+    ("dual-contouring", "dual contouring of the volume", {"mesher": "dual-contouring", "oracle": "volume"}),
+    ("dual-contouring-depth", "dual contouring of the depth images", {"mesher": "dual-contouring", "oracle": "depth"}),
+)
 
 
 def write_report(
