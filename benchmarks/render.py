@@ -88,8 +88,9 @@ def overhead(options):
 
     def reading_times(exr):
         with OpenEXR.File(str(exr), separate_channels=True) as file:
-            header = file.header()
-        own.append(sum(_seconds(header[f"cycles.ViewLayer.{key}_time"]) for key in ("render", "synchronization")))
+            header = file.header()  # which is empty once the file is closed
+            keys = [key for key in header if key.endswith((".render_time", ".synchronization_time"))]
+            own.append(sum(_seconds(header[key]) for key in keys))
         return read(exr)
 
     render.read_channels = reading_times

@@ -11,7 +11,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.blender.render import configure_render, read_channels, render_exr
+from datagen.blender.render import configure_render, pass_channel, read_channels, render_exr
 from datagen.rigid import Matrix
 from datagen.scene_spec.render_settings import RenderSettings
 
@@ -51,11 +51,10 @@ def read_normals(exr: Path, *, depth: NDArray[np.float32], world_from_camera: Ma
     through a transparent part of the surface, which glows here. Safe in a thread: it does not touch Blender.
     """
     channels = read_channels(exr)
-    ends = {name.split(".", 1)[1]: channel for name, channel in channels.items()}
-    halved = np.stack([ends[f"Combined.{band}"] for band in "RGB"], axis=-1)
+    halved = np.stack([pass_channel(channels, f"Combined.{band}") for band in "RGB"], axis=-1)
     normals = (halved * np.float32(2) - np.float32(1)) @ world_from_camera[:3, :3].astype(np.float32)
     lengths = np.linalg.norm(normals, axis=-1, keepdims=True)
-    seen = (depth > 0) & (np.abs(ends["Depth.Z"] - depth) <= SAME_DEPTH * depth)
+    seen = (depth > 0) & (np.abs(pass_channel(channels, "Depth.") - depth) <= SAME_DEPTH * depth)
     return np.where(seen[..., None], normals / np.maximum(lengths, np.float32(1e-9)), np.float32(0))
 
 

@@ -95,11 +95,11 @@ def read_frame(exr: Path, *, world_from_camera: Matrix, clip_end: float) -> Rend
     the first sample whatever their number, so that it is exact beside denoised colours; so is the object index.
     """
     channels = read_channels(exr)
-    linear = np.stack([_pass(channels, f"Combined.{band}") for band in "RGB"], axis=-1)
-    depth = _pass(channels, "Depth.")
+    linear = np.stack([pass_channel(channels, f"Combined.{band}") for band in "RGB"], axis=-1)
+    depth = pass_channel(channels, "Depth.")
     # Where no surface is, Cycles leaves 1e10.
     depth = np.where(depth < clip_end * 1.001, depth, np.float32(0))
-    index = _pass(channels, "Object Index.", "IndexOB.") if any("Index" in name for name in channels) else None
+    index = pass_channel(channels, "Object Index.", "IndexOB.") if any("Index" in name for name in channels) else None
     return RenderedFrame(
         color=srgb8_from_linear(linear),
         depth=depth,
@@ -137,7 +137,7 @@ def read_channels(exr: Path) -> dict[str, NDArray[np.float32]]:
     return channels
 
 
-def _pass(channels: dict[str, NDArray[np.float32]], *names: str) -> NDArray[np.float32]:
+def pass_channel(channels: dict[str, NDArray[np.float32]], *names: str) -> NDArray[np.float32]:
     """Return the channel of one of ``names``: Blender renamed some passes."""
     matching = [channels[key] for key in channels if any(f".{name}" in f".{key}" for name in names)]
     if len(matching) != 1:
