@@ -11,19 +11,33 @@ wp.set_module_options({"enable_backward": True, "max_unroll": 1})
 
 
 @wp.struct
-class NearestApproach:
-    """Where a pixel's ray comes nearest to the surface, and the field about that place.
+class FieldCell:
+    """A local point, metres, and the field about it: its trilinear ``terms``, metres, of a cell, and where that is.
 
-    ``point`` local, metres; the field's trilinear ``terms``, metres, of the cell whose low corner is at ``low`` and
-    whose size is 1 / ``cells_per_metre``; ``pixels_per_metre`` at the point's depth. ``known`` is 0 where none is.
+    The cell's low corner is at ``low``, its size 1 / ``cells_per_metre``. ``known`` is 0 where there is no field.
     """
 
     point: wp.vec3
     terms: Corners
     low: wp.vec3
     cells_per_metre: float
-    pixels_per_metre: float
     known: int
+
+
+@wp.struct
+class NearestApproach:
+    """Where a pixel's ray comes nearest to the surface, or deepest below it.
+
+    There the distance may turn sharply, as inside an edge: so it is told by two points of the ray, ``before`` and
+    ``after``, the first with weight ``share``, such that their mean does not change along the ray; ``offset``, metres,
+    makes it the distance at the turn. ``pixels_per_metre`` is that at its depth, 0 where the ray never comes near.
+    """
+
+    before: FieldCell
+    after: FieldCell
+    share: float
+    offset: float
+    pixels_per_metre: float
 
 
 @wp.func
@@ -32,6 +46,12 @@ def distance_in_cell(terms: Corners, at: wp.vec3) -> float:
     low = terms[0] + terms[1] * at[0] + (terms[2] + terms[3] * at[0]) * at[1]
     high = terms[4] + terms[5] * at[0] + (terms[6] + terms[7] * at[0]) * at[1]
     return low + high * at[2]
+
+
+@wp.func
+def distance_at(cell: FieldCell, point: wp.vec3) -> float:
+    """Return the field at a local point in or near a cell."""
+    return distance_in_cell(cell.terms, cell.cells_per_metre * (point - cell.low))
 
 
 @wp.func
@@ -54,13 +74,14 @@ def _coverage(
 ) -> None:
     index = wp.tid()
     approach = approaches[index]
-    if approach.known == 0:
+    if approach.pixels_per_metre == 0.0:
         coverage[index] = 0.0
         edge_px[index] = wp.inf
     else:
-        point = moved(approach.point, twists[index], pivot)
-        at = approach.cells_per_metre * (point - approach.low)
-        edge = approach.pixels_per_metre * distance_in_cell(approach.terms, at)
+        before = distance_at(approach.before, moved(approach.before.point, twists[index], pivot))
+        after = distance_at(approach.after, moved(approach.after.point, twists[index], pivot))
+        distance = approach.share * before + (1.0 - approach.share) * after + approach.offset
+        edge = approach.pixels_per_metre * distance
         # Φ(−s/σ) by the error function.
         coverage[index] = 0.5 * (1.0 - wp.erf(edge / (1.41421356 * softness_px)))
         edge_px[index] = edge

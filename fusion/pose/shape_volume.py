@@ -34,8 +34,9 @@ def volume_from_distances(
 ) -> Volume:
     """Return the volume of the shape whose signed distances, metres, negative inside, ``distances`` gives.
 
-    It takes points (n, 3) in the world. ``near_points`` (m, 3) lie on the surface, no farther apart than a few voxels;
-    voxels within the truncation, 4 voxels, of the surface count as seen once, those beyond as never seen.
+    It takes points (n, 3) in the world, and is infinite where nothing is known. ``near_points`` (m, 3) lie on the
+    surface, no farther apart than a few voxels; voxels within the truncation, 4 voxels, of the surface count as
+    seen once, those beyond as never seen.
     """
     truncation = TRUNCATION_VOXELS * voxel_size
     reach = int(TRUNCATION_VOXELS) + 1
@@ -101,7 +102,9 @@ def volume_from_mesh(mesh: Mesh, *, voxel_size: float, device: Device) -> Volume
             outputs=[found],
             device=device,
         )
-        return found.numpy().astype(np.float64)
+        told = found.numpy().astype(np.float64)
+        # A face within another part of the shape is no surface: both of its sides stay inside.
+        return np.where(told <= 0, np.minimum(told, -1e-3 * voxel_size), told)
 
     return volume_from_distances(distances, _cover(corners, voxel_size), voxel_size=voxel_size, device=device)
 
@@ -141,9 +144,9 @@ def volume_from_points(points: NDArray[np.floating], *, voxel_size: float, devic
         agree = np.einsum("nkd,nd->nk", normals[nearest], normals[nearest[:, 0]]) > 0.3
         weights = np.exp(-((apart / width) ** 2)) * agree
         blended = (weights * heights).sum(axis=1) / weights.sum(axis=1)
-        # Beyond the surface's end a plane goes on; the points do not.
-        beyond = apart[:, 0] > 2 * width[:, 0] + np.abs(blended)
-        return np.where(beyond, np.copysign(apart[:, 0], blended), blended)
+        # Beyond the surface's end, and where sheets meet, a plane goes on but the points do not: nothing is known.
+        unsure = (apart[:, 0] > width[:, 0]) & (np.abs(blended) < 0.7 * apart[:, 0])
+        return np.where(unsure, np.inf, blended)
 
     return volume_from_distances(distances, positions, voxel_size=voxel_size, device=device)
 

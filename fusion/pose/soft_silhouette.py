@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from datagen.camera import PinholeCamera
 from datagen.rigid import Matrix
 from fusion.devices import launch_in_slabs
-from fusion.pose.coverage_kernel import COVERAGE_KERNEL, NearestApproach
-from fusion.pose.model_field import ModelField, corners_in_volume, grid_terms, sample_grid, value_of_terms
+from fusion.pose.coverage_kernel import COVERAGE_KERNEL, FieldCell, NearestApproach, distance_at
+from fusion.pose.model_field import ModelField, corners_in_volume, grid_terms, sample_grid
 from fusion.pose.pose_model import PoseModel
 from fusion.volume.trilinear import Corners, gradient_of_terms, trilinear_terms
 
@@ -49,10 +49,11 @@ def box_times(field: ModelField, origin: wp.vec3, ray: wp.vec3) -> wp.vec2:
 
 
 @wp.func
-def nearest_on_grid(field: ModelField, origin: wp.vec3, ray: wp.vec3) -> float:
+def nearest_on_grid(field: ModelField, origin: wp.vec3, ray: wp.vec3, enough: float) -> float:
     """Return the time, metres of planar depth, when a ray comes nearest to the surface as seen in pixels; −1: never.
 
     Before the surface the ray advances by the distance to it, which it cannot come nearer than, and by a cell at least.
+    Where it is within by more than ``enough``, metres a metre of depth, it is not followed on.
     """
     times = box_times(field, origin, ray)
     speed = wp.length(ray)
@@ -60,7 +61,7 @@ def nearest_on_grid(field: ModelField, origin: wp.vec3, ray: wp.vec3) -> float:
     best = float(-1.0)
     least = float(_NOWHERE)
     step = int(0)
-    while t < times[1] and step < _MOST_STEPS:
+    while t < times[1] and step < _MOST_STEPS and least > -enough:
         sample = sample_grid(field, origin + t * ray)
         ahead = 1.0 / field.nodes_per_metre
         if sample.source != 0:
@@ -75,9 +76,10 @@ def nearest_on_grid(field: ModelField, origin: wp.vec3, ray: wp.vec3) -> float:
 
 
 @wp.func
-def approach_at(field: ModelField, point: wp.vec3) -> NearestApproach:
+def cell_around(field: ModelField, point: wp.vec3) -> FieldCell:
     """Return the trilinear cell around a local point, from the volume where it knows, else from the grid."""
-    found = NearestApproach()
+    found = FieldCell()
+    found.point = point
     scaled = field.voxels_per_metre * point
     cell = wp.vec3i(int(wp.floor(scaled[0])), int(wp.floor(scaled[1])), int(wp.floor(scaled[2])))
     corners, known = corners_in_volume(field, cell)
@@ -107,10 +109,55 @@ def approach_at(field: ModelField, point: wp.vec3) -> NearestApproach:
 def seen_distance(field: ModelField, origin: wp.vec3, ray: wp.vec3, t: float) -> float:
     """Return the distance over the depth at a time of a ray, from the finest source."""
     point = origin + t * ray
-    found = approach_at(field, point)
-    if found.known == 0:
+    cell = cell_around(field, point)
+    if cell.known == 0:
         return _NOWHERE
-    return value_of_terms(found.terms, found.cells_per_metre * (point - found.low)) / t
+    return distance_at(cell, point) / t
+
+
+@wp.func
+def nearest_about(field: ModelField, origin: wp.vec3, ray: wp.vec3, start: float) -> float:
+    """Return the time when a ray comes nearest, within a cell of the grid from ``start``, by parabolas."""
+    t = float(start)
+    reach = 1.0 / (field.nodes_per_metre * wp.length(ray))
+    least = seen_distance(field, origin, ray, t)
+    for _step in range(_FINE_STEPS):
+        centre = t
+        at_centre = least
+        before = seen_distance(field, origin, ray, centre - reach)
+        after = seen_distance(field, origin, ray, centre + reach)
+        bend = before + after - 2.0 * at_centre
+        turn = wp.where(before < after, -1.0, 1.0)
+        if bend > 0.0:
+            turn = wp.clamp(0.5 * (before - after) / bend, -1.0, 1.0)
+        value = seen_distance(field, origin, ray, centre + turn * reach)
+        if value < least:
+            least = value
+            t = centre + turn * reach
+        reach = 0.3 * reach
+    return t
+
+
+@wp.func
+def approach_about(field: ModelField, origin: wp.vec3, ray: wp.vec3, t: float, apart: float) -> NearestApproach:
+    """Return the approach at time t, told by the field at a time ``apart`` before and after."""
+    found = NearestApproach()
+    found.before = cell_around(field, origin + (t - apart) * ray)
+    found.after = cell_around(field, origin + (t + apart) * ray)
+    middle = cell_around(field, origin + t * ray)
+    if found.before.known * found.after.known * middle.known == 0:
+        return found
+    at_before = distance_at(found.before, found.before.point)
+    at_after = distance_at(found.after, found.after.point)
+    at_middle = distance_at(middle, middle.point)
+    falls = wp.max(at_before - at_middle, 0.0)
+    rises = wp.max(at_after - at_middle, 0.0)
+    found.share = 0.5
+    if falls + rises > 0.0:
+        found.share = rises / (falls + rises)
+    found.offset = at_middle - found.share * at_before - (1.0 - found.share) * at_after
+    found.pixels_per_metre = 1.0 / t
+    return found
 
 
 @wp.kernel
@@ -129,36 +176,17 @@ def _find_approaches(
     x = (pixel[0] - intrinsics[2]) / intrinsics[0]
     y = (pixel[1] - intrinsics[3]) / intrinsics[1]
     ray = rotation * wp.vec3(x, y, 1.0)
-    t = nearest_on_grid(field, origin, ray)
+    focal = 0.5 * (intrinsics[0] + intrinsics[1])
+    t = nearest_on_grid(field, origin, ray, fine_within_px / focal + 1.0 / field.nodes_per_metre)
     found = NearestApproach()
     if t > 0.0:
-        focal = 0.5 * (intrinsics[0] + intrinsics[1])
         coarse = sample_grid(field, origin + t * ray)
+        apart = 0.5 / (field.nodes_per_metre * wp.length(ray))
         if wp.abs(coarse.distance) * focal / t < fine_within_px + focal / (t * field.nodes_per_metre):
-            # Parabolas through three distances, a cell of the grid apart, then a share of it.
-            reach = 1.0 / (field.nodes_per_metre * wp.length(ray))
-            least = seen_distance(field, origin, ray, t)
-            for _step in range(_FINE_STEPS):
-                centre = t
-                at_centre = least
-                before = seen_distance(field, origin, ray, centre - reach)
-                after = seen_distance(field, origin, ray, centre + reach)
-                bend = before + after - 2.0 * at_centre
-                turn = float(0.0)
-                if bend > 0.0:
-                    turn = wp.clamp(0.5 * (before - after) / bend, -1.0, 1.0)
-                elif before < after:
-                    turn = -1.0
-                else:
-                    turn = 1.0
-                value = seen_distance(field, origin, ray, centre + turn * reach)
-                if value < least:
-                    least = value
-                    t = centre + turn * reach
-                reach = 0.3 * reach
-        found = approach_at(field, origin + t * ray)
-        found.point = origin + t * ray
-        found.pixels_per_metre = focal / t
+            t = nearest_about(field, origin, ray, t)
+            apart = 0.5 / (field.voxels_per_metre * wp.length(ray))
+        found = approach_about(field, origin, ray, t, apart)
+        found.pixels_per_metre = focal * found.pixels_per_metre
     approaches[index] = found
 
 
