@@ -71,9 +71,16 @@ class Crew:
             else:
                 self._unfinished -= 1
                 yield Report(task=worker.note_done(), content={})
+                self._give_work(worker)
 
     def _give_work(self, worker: RenderWorker) -> None:
-        if not self._waiting:
+        """Assign the next task, if there is one and the worker is free for it.
+
+        A task that failed before is done alone: if it fails again, nothing else is lost with it.
+        """
+        if not self._waiting or worker.rendering is not None or worker.retired:
+            return
+        if worker.writing is not None and self._failures[self._waiting[0]]:
             return
         if worker.is_worn_out():
             worker.retire()
