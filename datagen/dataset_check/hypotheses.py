@@ -54,7 +54,7 @@ def hypotheses(base: Correction, *, frames: int) -> Iterator[Hypothesis]:
     """Yield single further faults on top of ``base``; those with a size come several times, to be fitted from there."""
     yield from _sized(base)
     yield from _structural(base)
-    most = min(LONGEST_POSE_SHIFT, frames // 3)
+    most = min(LONGEST_POSE_SHIFT, frames // 2)
     for shift in (sign * k for k in range(1, most + 1) for sign in (1, -1)):
         if base.pose_shift == 0:
             yield Hypothesis("time-shift", replace(base, pose_shift=shift))
