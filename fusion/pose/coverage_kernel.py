@@ -26,11 +26,12 @@ class FieldCell:
 
 @wp.struct
 class NearestApproach:
-    """Where a pixel's ray comes nearest to the surface, or deepest below it.
+    """Where a pixel's ray comes nearest to the surface.
 
-    There the distance may turn sharply, as inside an edge: so it is told by two points of the ray, ``before`` and
-    ``after``, the first with weight ``share``, such that their mean does not change along the ray; ``offset``, metres,
-    makes it the distance at the turn. ``pixels_per_metre`` is that at its depth, 0 where the ray never comes near.
+    A trilinear field bends sharply between cells: so the distance there is told by two points of the ray, ``before``
+    and ``after``, the first with weight ``share``, such that their mean does not change along the ray; ``offset``,
+    metres, makes it the distance at the place. ``pixels_per_metre`` is that at its depth, 0 where the ray never comes
+    near.
     """
 
     before: FieldCell
@@ -66,6 +67,8 @@ def moved(point: wp.vec3, twist: wp.spatial_vector, pivot: wp.vec3) -> wp.vec3:
 @wp.kernel
 def _coverage(
     approaches: wp.array(dtype=NearestApproach),
+    nearest: wp.array(dtype=int),
+    within_px: wp.array(dtype=float),
     twists: wp.array(dtype=wp.spatial_vector),
     pivot: wp.vec3,
     softness_px: float,
@@ -73,15 +76,15 @@ def _coverage(
     edge_px: wp.array(dtype=float),
 ) -> None:
     index = wp.tid()
-    approach = approaches[index]
+    approach = approaches[nearest[index]]
     if approach.pixels_per_metre == 0.0:
-        coverage[index] = 0.0
-        edge_px[index] = wp.inf
+        coverage[index] = wp.where(within_px[index] > 0.0, 1.0, 0.0)
+        edge_px[index] = wp.where(within_px[index] > 0.0, -wp.inf, wp.inf)
     else:
         before = distance_at(approach.before, moved(approach.before.point, twists[index], pivot))
         after = distance_at(approach.after, moved(approach.after.point, twists[index], pivot))
         distance = approach.share * before + (1.0 - approach.share) * after + approach.offset
-        edge = approach.pixels_per_metre * distance
+        edge = approach.pixels_per_metre * distance - within_px[index]
         # Φ(−s/σ) by the error function.
         coverage[index] = 0.5 * (1.0 - wp.erf(edge / (1.41421356 * softness_px)))
         edge_px[index] = edge

@@ -1,15 +1,17 @@
 """The model's silhouette with a soft edge, rendered so that it can be differentiated by the pose.
 
-For each pixel the ray's nearest approach to the surface is found: s, the signed distance there, seen as pixels, is the
-pixel's distance from the silhouette's edge, negative within. Coverage is Φ(−s/σ), Φ the normal distribution: that of a
-sharp silhouette blurred by a Gaussian of σ pixels, where its edge is straight. Where the ray comes nearest does not
-change the distance in first order, so the derivative is that of the distance at a fixed point of the ray; Warp's tape
-takes it, for all six parameters of the pose.
+For each pixel beside the silhouette the ray's nearest approach to the surface is found; the distance there, seen as
+pixels, is the pixel's distance s from the silhouette's edge. A pixel within takes that of the nearest one beside it,
+less the way between them: what is under the surface, thick or thin, has no part in the silhouette. Coverage is Φ(−s/σ),
+Φ the normal distribution: that of a sharp silhouette blurred by a Gaussian of σ pixels, where its edge is straight.
+Where a ray comes nearest does not change the distance in first order, so the derivative is that of the distance at a
+fixed place of the ray; Warp's tape takes it, for all six parameters of the pose.
 """
 
 from dataclasses import dataclass
 from typing import Any
 
+import cv2
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
@@ -20,7 +22,7 @@ from fusion.devices import launch_in_slabs
 from fusion.pose.coverage_kernel import COVERAGE_KERNEL, FieldCell, NearestApproach, distance_at
 from fusion.pose.model_field import ModelField, corners_in_volume, grid_terms, sample_grid
 from fusion.pose.pose_model import PoseModel
-from fusion.volume.trilinear import Corners, gradient_of_terms, trilinear_terms
+from fusion.volume.trilinear import gradient_of_terms, trilinear_terms
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
@@ -52,8 +54,8 @@ def box_times(field: ModelField, origin: wp.vec3, ray: wp.vec3) -> wp.vec2:
 def nearest_on_grid(field: ModelField, origin: wp.vec3, ray: wp.vec3, enough: float) -> float:
     """Return the time, metres of planar depth, when a ray comes nearest to the surface as seen in pixels; −1: never.
 
-    Before the surface the ray advances by the distance to it, which it cannot come nearer than, and by a cell at least.
-    Where it is within by more than ``enough``, metres a metre of depth, it is not followed on.
+    It advances by the distance to the surface, which it cannot come nearer than, and by a cell at least. Where it is
+    under the surface by more than ``enough``, metres a metre of depth, it is not followed on.
     """
     times = box_times(field, origin, ray)
     speed = wp.length(ray)
@@ -170,6 +172,7 @@ def _find_approaches(
     origin: wp.vec3,
     fine_within_px: float,
     approaches: wp.array(dtype=NearestApproach),
+    edges_px: wp.array(dtype=float),
 ) -> None:
     index = wp.tid() + first
     pixel = pixels[index]
@@ -177,8 +180,9 @@ def _find_approaches(
     y = (pixel[1] - intrinsics[3]) / intrinsics[1]
     ray = rotation * wp.vec3(x, y, 1.0)
     focal = 0.5 * (intrinsics[0] + intrinsics[1])
-    t = nearest_on_grid(field, origin, ray, fine_within_px / focal + 1.0 / field.nodes_per_metre)
+    t = nearest_on_grid(field, origin, ray, 1.0 / field.nodes_per_metre)
     found = NearestApproach()
+    edges_px[index] = _NOWHERE
     if t > 0.0:
         coarse = sample_grid(field, origin + t * ray)
         apart = 0.5 / (field.nodes_per_metre * wp.length(ray))
@@ -187,6 +191,7 @@ def _find_approaches(
             apart = 0.5 / (field.voxels_per_metre * wp.length(ray))
         found = approach_about(field, origin, ray, t, apart)
         found.pixels_per_metre = focal * found.pixels_per_metre
+        edges_px[index] = focal * seen_distance(field, origin, ray, t)
     approaches[index] = found
 
 
@@ -216,12 +221,14 @@ def soft_silhouette(
 ) -> SoftSilhouette:
     """Render the soft silhouette of ``model`` at ``pixels`` (n, 2), (u, v) of ``camera``, seen from a pose.
 
-    ``softness_px`` is σ in the camera's pixels.
+    The pixels are whole ones, and those beside the silhouette have to be among them. ``softness_px`` is σ, in the
+    camera's pixels.
     """
     device = model.device
     local = model.local(world_from_camera)
     count = len(pixels)
     approaches = wp.empty(count, dtype=NearestApproach, device=device)
+    edges_px = wp.empty(count, dtype=float, device=device)
     launch_in_slabs(
         _find_approaches,
         dim=count,
@@ -233,15 +240,21 @@ def soft_silhouette(
             wp.vec3(*local[:3, 3].tolist()),
             4 * softness_px,
         ],
-        outputs=[approaches],
+        outputs=[approaches, edges_px],
         device=device,
         least_slab=128,
     )
+    nearest, within_px = _nearest_beside(np.asarray(pixels), edges_px.numpy())
     twists = wp.zeros(count, dtype=wp.spatial_vector, device=device, requires_grad=with_jacobian)
     coverage = wp.empty(count, dtype=float, device=device, requires_grad=with_jacobian)
     edge = wp.empty(count, dtype=float, device=device)
     pivot = wp.vec3(*(pivot_world - model.origin_world).tolist())
-    inputs: list[Any] = [approaches, twists, pivot, softness_px]
+    inputs: list[Any] = [
+        approaches,
+        wp.array(nearest, dtype=int, device=device),
+        wp.array(within_px, dtype=float, device=device),
+        *(twists, pivot, softness_px),
+    ]
     jacobian = np.empty((0, 6))
     # Each pixel has six parameters to itself: one pass back through the tape gives all rows of the Jacobian.
     tape = wp.Tape()
@@ -255,4 +268,31 @@ def soft_silhouette(
     )
 
 
-__all__ = ["Corners", "SoftSilhouette", "soft_silhouette"]
+def _nearest_beside(
+    pixels: NDArray[np.floating], edges_px: NDArray[np.float32]
+) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    """Tell how far within the silhouette pixels are.
+
+    ``pixels`` (n, 2) are whole, ``edges_px`` (n,) their distances from the edge, right where they are positive. Returns
+    for each pixel the index of the one beside the silhouette that tells of it, itself if it is one, and how far that is
+    (n,); where no pixel is beside the silhouette the distance is infinite.
+    """
+    index = np.arange(len(pixels), dtype=np.int32)
+    inside = edges_px < 0
+    if inside.all() or not inside.any():
+        return index, np.where(inside, np.inf, 0).astype(np.float32)
+    columns, rows = np.rint(pixels).astype(int).T
+    columns, rows = columns - columns.min(), rows - rows.min()
+    held = np.full((rows.max() + 1, columns.max() + 1), -1, np.int32)
+    held[rows, columns] = index
+    beside = np.ones(held.shape, np.uint8)
+    beside[rows[~inside], columns[~inside]] = 0
+    _distance, labels = cv2.distanceTransformWithLabels(
+        beside, cv2.DIST_L2, cv2.DIST_MASK_5, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    by_label = np.zeros(labels.max() + 1, np.int32)
+    by_label[labels[beside == 0]] = held[beside == 0]
+    nearest = by_label[labels[rows, columns]]
+    squares = ((pixels - pixels[nearest]) ** 2).sum(axis=1)
+    # The nearest pixel's centre lies beside the perpendicular by up to half a pixel: squared, a twelfth on average.
+    return nearest, np.sqrt(np.maximum(squares - inside / 12, 0)).astype(np.float32)
