@@ -82,8 +82,11 @@ def reconstruct(
             clock=clock,
             progress=progress,
         )
+        clock.seconds["waiting"] = source.waiting_seconds
         mesh = _mesh(fused.volume, source, config, clock, progress)
-    clock.seconds |= {"decode": source.decoding_seconds, "waiting": source.waiting_seconds}
+    clock.seconds["decode"] = source.decoding_seconds
+    # Meshing waits for frames of its own.
+    clock.seconds["mesh"] += source.waiting_seconds - clock.seconds["waiting"]
     metrics = None
     if ground_truth is not None:
         with clock("evaluate"):

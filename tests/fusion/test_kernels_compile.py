@@ -11,6 +11,9 @@ import fusion
 from fusion.devices import resolve_device
 from fusion.frames import color_confidence, depth_tiles
 from fusion.integration import integrate, pixel_weights
+from fusion.surface.dual_contouring import depth_oracle
+from fusion.surface.dual_contouring.dual_contouring import oracle_kernels
+from fusion.surface.dual_contouring.oracle import Oracle
 
 ARCHITECTURES = [75, 80, 90]
 
@@ -35,6 +38,15 @@ def kernels_made_to_measure():
             yield pytest.param(kernel, id=f"fusion.integration.integrate-{depth_type.__name__}-{asked or 'paper'}")
 
 
+def kernels_made_for_oracles():
+    """Yield those of dual contouring that ask for the depth images' field."""
+    for depth_type, weighted in itertools.product((wp.uint16, wp.float32), (False, True)):
+        value, state_type = depth_oracle.depth_value(depth_type, weighted=weighted)
+        for kernel in oracle_kernels(Oracle(value, state_type, None)):
+            name = f"{kernel.key.split('__')[-1]}-{depth_type.__name__}-{'weighted' if weighted else 'constant'}"
+            yield pytest.param(kernel, id=name)
+
+
 def compile_for(module, architecture, folder):
     wp.compile_aot_module(module, arch=architecture, use_ptx=True, module_dir=str(folder))
     assert any(path.suffix == ".ptx" for path in folder.rglob("*"))
@@ -56,7 +68,7 @@ def test_kernels_compile_for_cuda(module, architecture, tmp_path):
     compile_for(module, architecture, tmp_path)
 
 
-@pytest.mark.parametrize("kernel", list(kernels_made_to_measure()))
+@pytest.mark.parametrize("kernel", [*kernels_made_to_measure(), *kernels_made_for_oracles()])
 @pytest.mark.parametrize("architecture", ARCHITECTURES)
 def test_kernels_made_to_measure_compile_for_cuda(kernel, architecture, tmp_path):
     compile_for(kernel.module, architecture, tmp_path)
