@@ -9,9 +9,9 @@ import numpy as np
 
 from fusion.devices import Kernel
 from fusion.surface.dual_contouring.cell_points import Vertices, cell_points
-from fusion.surface.dual_contouring.dual_grid import find_grid
 from fusion.surface.dual_contouring.edge_points import edge_points, search_kernel
 from fusion.surface.dual_contouring.face_points import face_kernel, face_points
+from fusion.surface.dual_contouring.find_grid import find_grid
 from fusion.surface.dual_contouring.oracle import Oracle
 from fusion.surface.dual_contouring.pins import place_pins
 from fusion.surface.dual_contouring.quads import cut_quads

@@ -1,10 +1,11 @@
-"""2-D points: where a crease of the surface passes through the faces between cells, told from questions to an oracle.
+"""2-D points: where the surface leads to within the faces between cells, told from questions to an oracle.
 
-A curve enters a face at one edge and leaves it at another, a and b; m is the middle between them. Asking along the
-normal to ab, in the face, leads from m to a point q of the curve, at a distance t. Where the curve is a wedge, with its
-apex P, half as far from ab as q is it is narrower by the share that similar triangles say: asked there along ab on both
-sides, it crosses at g and h, and P is where the lines ag and bh meet. A smooth curve gives about the point where its
-tangents at a and b meet; so in either case aP and bP lie along the surface, which is what the cells' points take.
+A curve of the surface enters a face at one edge and leaves it at another, a and b; m is the middle between them. Asking
+along the normal to ab, in the face, leads from m to a point q of the curve. Where the curve is a wedge, lines from a
+and b along its sides meet in its apex, the 2-D point. Asked half as far from ab as q is, along ab on both sides, the
+wedge is crossed at g and h, which are such lines' second points; similar triangles would tell the apex, but where it
+lies far off, or the curve has two, g and h say more. A smooth curve gives about its tangents at a and b. So in either
+case ag and bh lie along the surface, and with the same of the next face they span the plane through a 1-D point.
 """
 
 from functools import cache

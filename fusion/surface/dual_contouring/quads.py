@@ -1,12 +1,6 @@
 """Quads: one around each complete edge, its corners the vertices of the four cells there, cut into triangles.
 
-Between neighbouring cells' vertices v₀ … v₃ lie the tetrahedra of the edge's two ends and two successive vertices. They
-make up the edge's envelope, and the envelopes of all edges fill space without overlap: what stays within its envelope
-meets no other quad. A diagonal is allowed where both of its triangles do. Of two allowed ones that one is taken whose
-triangles pass the edge nearer to its 1-D point, where the surface is. Where none is allowed, or the quad passes a
-pinned face, it becomes a fan around the 1-D point, which always stays within.
-
-In the coordinates here the edge is the third axis, from 0 to 1, and the cells lie around it counter-clockwise.
+``quad_split`` says how; a quad that passes a pinned face is a fan around its 1-D point, by way of the vertices there.
 """
 
 from dataclasses import dataclass
@@ -19,15 +13,11 @@ from fusion.surface.dual_contouring.cell_points import Vertices
 from fusion.surface.dual_contouring.dual_grid import Counts, DualGrid, pin_number, place_of
 from fusion.surface.dual_contouring.face_points import face_u
 from fusion.surface.dual_contouring.pins import as_bytes, vertex_of_edge
-from fusion.surface.dual_contouring.qef import INSET
+from fusion.surface.dual_contouring.quad_split import FAN, choose_split
 from fusion.surface.layers import NONE, lowest_bit, number_of, step_along, vertex_number
 from fusion.volume.tsdf_volume import Volume
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
-
-_MARGIN = wp.constant(0.5 * INSET)
-_FAN = wp.constant(2)
-_NOT_ALLOWED = wp.constant(2.0)
 
 
 @wp.struct
@@ -45,57 +35,6 @@ class Quads:
     splits: wp.array(dtype=wp.uint8)
     starts: wp.array(dtype=wp.vec2i)
     places: wp.array(dtype=int)
-
-
-@wp.func
-def cross_2d(a: wp.vec3, b: wp.vec3) -> float:
-    """Return the cross product of the first two coordinates."""
-    return a[0] * b[1] - a[1] * b[0]
-
-
-@wp.func
-def passes_edge_at(start: wp.vec3, between: wp.vec3, end: wp.vec3, behind: wp.vec3) -> float:
-    """Return where on the edge the triangles on the diagonal from ``start`` to ``end`` pass it.
-
-    The diagonal passes ``between``'s side of the edge. _NOT_ALLOWED where a triangle leaves the envelope.
-    """
-    from_start = cross_2d(between, start)
-    from_end = cross_2d(between, end)
-    share = from_start / (from_start - from_end)
-    q = start + share * (end - start)
-    out = (q[0] * between[0] + q[1] * between[1]) / (between[0] * between[0] + between[1] * between[1])
-    lowest = out * between[2]
-    room = 1.0 - out
-    if room <= 0.0 or q[2] < lowest + _MARGIN * room or q[2] > lowest + (1.0 - _MARGIN) * room:
-        return _NOT_ALLOWED
-    # The other triangle has the edge in it; barycentric coordinates of the edge.
-    a = cross_2d(end, behind)
-    b = cross_2d(behind, start)
-    c = cross_2d(start, end)
-    height = (a * start[2] + b * end[2] + c * behind[2]) / (a + b + c)
-    if height < _MARGIN or height > 1.0 - _MARGIN:
-        return _NOT_ALLOWED
-    return height
-
-
-@wp.func
-def diagonal_passes_at(start: wp.vec3, second: wp.vec3, end: wp.vec3, fourth: wp.vec3) -> float:
-    """Return where on the edge a quad with a diagonal from ``start`` to ``end`` passes it; _NOT_ALLOWED if outside."""
-    if cross_2d(start, end) >= 0.0:
-        return passes_edge_at(start, second, end, fourth)
-    return passes_edge_at(end, fourth, start, second)
-
-
-@wp.func
-def choose_split(a: wp.vec3, b: wp.vec3, c: wp.vec3, d: wp.vec3, along: float) -> int:
-    """Return which diagonal cuts a quad, or that it becomes a fan."""
-    first = diagonal_passes_at(a, b, c, d)
-    second = diagonal_passes_at(b, c, d, a)
-    if first == _NOT_ALLOWED and second == _NOT_ALLOWED:
-        return _FAN
-    if wp.abs(second - along) < wp.abs(first - along):
-        return 1
-    return 0
 
 
 @wp.func
@@ -182,7 +121,7 @@ def _make_quads(
                 pin_beside(grid, slot, voxel - step_along(third), axis, second, 1),
                 pin_beside(grid, slot, voxel, axis, third, 0),
             )
-            split = int(_FAN)
+            split = int(FAN)
             triangles = int(4)
             for side in range(4):
                 if pins[side] >= 0:
@@ -190,14 +129,14 @@ def _make_quads(
             if triangles == 4:
                 crossing = along[vertex_number(grid.cells, layer, axis, bit)]
                 split = choose_split(around[0], around[1], around[2], around[3], crossing)
-                if split != _FAN:
+                if split != FAN:
                     triangles = 2
             inside = (grid.cells.inside[layer] >> wp.uint64(bit)) & wp.uint64(1)
             quads.corners[quad] = corners
             quads.pins[quad] = pins
             quads.flipped[quad] = wp.where(inside == wp.uint64(1), wp.uint8(0), wp.uint8(1))
             quads.splits[quad] = wp.uint8(split)
-            quads.starts[quad] = wp.vec2i(triangles, wp.where(split == _FAN, 1, 0))
+            quads.starts[quad] = wp.vec2i(triangles, wp.where(split == FAN, 1, 0))
             quads.places[quad] = 192 * layer + 64 * axis + bit
             quad += 1
             left = left & (left - wp.uint64(1))
@@ -219,7 +158,7 @@ def _emit_triangles(first: int, quads: Quads, first_pin: int, first_fan: int, tr
     start = quads.starts[quad]
     number = start[0]
     split = int(quads.splits[quad])
-    if split == _FAN:
+    if split == FAN:
         middle = first_fan + start[1]
         for side in range(4):
             pin = quads.pins[quad][side]
@@ -253,7 +192,7 @@ def _place_fans(
     normals: wp.array(dtype=wp.vec3),
 ) -> None:
     quad = wp.tid() + first
-    if quads.splits[quad] != wp.uint8(_FAN):
+    if quads.splits[quad] != wp.uint8(FAN):
         return
     fan = quads.starts[quad][1]
     at = quads.places[quad]
