@@ -280,6 +280,7 @@ def _result(problem: _Problem, found: Descent, start: Matrix, spent: int) -> Ref
         inlier_share=float(normals.inliers[0]),
         overlap=float(agreement(counts)[0]),
         used=problem.cloud.count,
+        score=float(_scores(problem, found.poses)[0]),
         iterations=spent,
         uncertainty=uncertainty(
             normals.hessian[0], sigma=sigma, pivot_world=problem.pivot_world, radius_m=problem.radius

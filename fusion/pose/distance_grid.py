@@ -36,7 +36,7 @@ class DistanceGrid:
 
 
 def distance_grid(mesh: Mesh, *, device: Device, nodes: int = NODES) -> DistanceGrid:
-    """Return the grid around ``mesh``, whose vertices lie closer together than the grid's nodes.
+    """Return the grid around ``mesh``, whose vertices have normals and lie closer together than the grid's nodes.
 
     Next to the surface the distance is exact, to the closest triangle; farther out it is that to the closest point of
     the nearest node that is next to the surface, right to a small share of the spacing.
@@ -81,16 +81,23 @@ def _nodes_next_to(
 def _feet(
     first: int,
     mesh: wp.uint64,
+    normals: wp.array(dtype=wp.vec3),
     points: wp.array(dtype=wp.vec3),
     reach: float,
     feet: wp.array(dtype=wp.vec3),
     signs: wp.array(dtype=float),
 ) -> None:
     index = wp.tid() + first
-    # The sign is that of the mean normal of all triangles that touch the closest point.
-    query = wp.mesh_query_point_sign_normal(mesh, points[index], reach)
-    feet[index] = wp.mesh_eval_position(mesh, query.face, query.u, query.v)
-    signs[index] = query.sign
+    point = points[index]
+    query = wp.mesh_query_point_no_sign(mesh, point, reach)
+    foot = wp.mesh_eval_position(mesh, query.face, query.u, query.v)
+    # By the vertices' normals, which are the field's gradients: triangles may have no area, and so no normal.
+    a = normals[wp.mesh_get_index(mesh, 3 * query.face)]
+    b = normals[wp.mesh_get_index(mesh, 3 * query.face + 1)]
+    c = normals[wp.mesh_get_index(mesh, 3 * query.face + 2)]
+    normal = query.u * a + query.v * b + (1.0 - query.u - query.v) * c
+    feet[index] = foot
+    signs[index] = wp.where(wp.dot(point - foot, normal) < 0.0, -1.0, 1.0)
 
 
 def _closest(
@@ -106,7 +113,11 @@ def _closest(
     feet = wp.empty(len(positions), dtype=wp.vec3, device=device)
     signs = wp.empty(len(positions), dtype=float, device=device)
     launch_in_slabs(
-        _feet, dim=len(positions), inputs=[hierarchy.id, points, reach], outputs=[feet, signs], device=device
+        _feet,
+        dim=len(positions),
+        inputs=[hierarchy.id, wp.array(mesh.normals, dtype=wp.vec3, device=device), points, reach],
+        outputs=[feet, signs],
+        device=device,
     )
     return feet.numpy() + centre, signs.numpy().astype(np.float64)
 

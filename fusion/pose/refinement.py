@@ -19,7 +19,8 @@ class Refinement:
     residuals in ``unit``, ``expected`` what it should be of a right pose, from the query's own noise and the model's.
     ``inlier_share`` is the share of the query's measurements that the model explains; ``overlap`` the share of the
     model's surface, as far as it should be seen, that the query shows, None where there is no depth to tell.
-    ``used`` is the number of measurements.
+    ``used`` is the number of measurements. ``score`` of a depth stage is how well the pose explains the view, 0 to 1:
+    both ways together, and a point the less the farther it is from the surface.
     """
 
     stage: Stage
@@ -33,6 +34,7 @@ class Refinement:
     inlier_share: float = 0.0
     overlap: float | None = None
     used: int = 0
+    score: float | None = None
     iterations: int = 0
     uncertainty: Uncertainty | None = None
 

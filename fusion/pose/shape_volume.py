@@ -40,10 +40,10 @@ def volume_from_distances(
     """
     truncation = TRUNCATION_VOXELS * voxel_size
     reach = int(TRUNCATION_VOXELS) + 1
-    steps = np.array([-reach, reach])
+    steps = np.array([-reach, 0, reach])
     corners = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
     lattice = np.unique(np.floor(np.asarray(near_points, np.float64) / voxel_size).astype(np.int64), axis=0)
-    # A block is wider than the band: the eight corners of a point's reach are in all blocks that it touches.
+    # Steps of five voxels pass over no block of eight.
     blocks = np.unique((lattice[:, None] + corners).reshape(-1, 3) // BLOCK_SIDE, axis=0).astype(np.int32)
     volume = Volume(voxel_size=voxel_size, truncation=truncation, device=device, max_blocks=len(blocks), storage="full")
     volume.table.adopt(blocks)

@@ -1,0 +1,142 @@
+import numpy as np
+import pytest
+from boxes import POSES, box_model, see_boxes
+from scipy.ndimage import gaussian_filter
+from three_balls import CAMERA, twist
+
+from datagen.errors import InputError
+from datagen.rigid import inverse, rotation_angle_deg
+from fusion.pose.query import Query
+from fusion.pose.se3 import perturb
+from fusion.pose.silhouette_refinement import (
+    SilhouetteRefinementOptions,
+    refine_with_silhouette,
+    silhouette_from_depth,
+)
+from fusion.pose.soft_silhouette import soft_silhouette
+
+
+@pytest.fixture
+def model(device):
+    return box_model(device)
+
+
+MIDDLE = np.zeros(3)
+
+
+def errors(found, truth):
+    """Return the angle, degrees, and how far the model's middle is off, metres."""
+    return rotation_angle_deg(inverse(found) @ truth), np.linalg.norm((found @ inverse(truth))[:3, 3])
+
+
+def all_pixels():
+    v, u = np.mgrid[: CAMERA.height, : CAMERA.width]
+    return np.stack([u.ravel(), v.ravel()], axis=-1).astype(float)
+
+
+def render(model, pose, softness_px=1.0, **options):
+    return soft_silhouette(model, CAMERA, all_pixels(), pose, softness_px=softness_px, pivot_world=MIDDLE, **options)
+
+
+def test_the_silhouette_is_sharp_at_the_outline_and_as_far_from_it_as_pixels_are(model):
+    for pose in POSES:
+        seen = render(model, pose, with_jacobian=False)
+        inside = see_boxes(pose, model.device) > 0
+        edge = seen.edge_px.reshape(inside.shape)
+        # A pixel is inside where its centre's ray meets the shape; edges are rounded by a share of a voxel, 0.4 px.
+        wrong = (edge < 0) != inside
+        assert np.abs(edge[wrong]).max(initial=0) < 0.25
+        assert wrong.sum() < 0.1 * (np.abs(edge) < 1).sum()
+        blurred = gaussian_filter(inside.astype(float), 1.0)
+        assert np.abs(seen.coverage.reshape(inside.shape) - blurred).mean() < 0.01
+
+
+@pytest.mark.parametrize("softness_px", [1.0, 3.0])
+def test_the_tapes_gradient_of_the_loss_is_that_of_finite_differences(model, softness_px):
+    target = gaussian_filter((see_boxes(POSES[0], model.device) > 0).astype(float), softness_px).ravel()
+    pose = perturb(twist(np.random.default_rng(2), 2.0, 0.01), POSES[0], pivot_world=MIDDLE)
+
+    def loss(step):
+        seen = render(model, perturb(step, pose, pivot_world=MIDDLE), softness_px, with_jacobian=False)
+        return 0.5 * ((seen.coverage - target) ** 2).sum()
+
+    seen = render(model, pose, softness_px)
+    gradient = seen.jacobian.T @ (seen.coverage - target)
+    size = 5e-4
+    numeric = np.array([(loss(size * e) - loss(-size * e)) / (2 * size) for e in np.eye(6)])
+    # Rays' nearest approaches jump between the field's cells: single differences carry that noise, their sum little.
+    length = np.linalg.norm(numeric)
+    assert gradient @ numeric / (np.linalg.norm(gradient) * length) > 0.99
+    np.testing.assert_allclose(gradient, numeric, atol=0.12 * length)
+
+
+def test_each_pixels_row_of_the_jacobian_is_that_of_finite_differences(model):
+    seen = render(model, POSES[1], 2.0)
+    size = 1e-3
+    for axis in range(6):
+        ahead, back = (
+            render(
+                model,
+                perturb(sign * size * np.eye(6)[axis], POSES[1], pivot_world=MIDDLE),
+                2.0,
+                with_jacobian=False,
+            ).coverage
+            for sign in (1, -1)
+        )
+        numeric = (ahead - back) / (2 * size)
+        # All but the pixels whose nearest approach jumps from one part of the surface to another.
+        moving = np.abs(seen.jacobian[:, axis]) > 0.05 * np.abs(seen.jacobian[:, axis]).max()
+        off = np.abs(numeric - seen.jacobian[:, axis])[moving] / np.abs(seen.jacobian[:, axis]).max()
+        assert np.median(off) < 0.06
+        assert np.quantile(off, 0.75) < 0.25
+
+
+@pytest.mark.parametrize(("turn_deg", "shift"), [(3.0, 0.01), (10.0, 0.04)])
+def test_a_mask_alone_locates_the_view(model, turn_deg, shift):
+    for i, truth in enumerate(POSES):
+        start = perturb(twist(np.random.default_rng(i), turn_deg, shift), truth, pivot_world=MIDDLE)
+        found = refine_with_silhouette(model, Query(camera=CAMERA, mask=see_boxes(truth, model.device) > 0), start)
+        angle, distance = errors(found.world_from_camera, truth)
+        assert angle < 0.5
+        assert distance < 4e-3  # a fifth of a pixel of the outline is 3 mm of depth here
+        assert found.overlap > 0.93
+        assert found.residual < 0.5
+
+
+def test_depth_tells_the_silhouette_where_there_is_no_mask(model):
+    depth = see_boxes(POSES[0], model.device)
+    room = np.where(depth > 0, depth, 2.5).astype(np.float32)
+    start = perturb(twist(np.random.default_rng(0), 5.0, 0.02), POSES[0], pivot_world=MIDDLE)
+    mask = silhouette_from_depth(model, Query(camera=CAMERA, depth=room), start)
+    np.testing.assert_array_equal(mask, depth > 0)
+    found = refine_with_silhouette(model, Query(camera=CAMERA, depth=room), start)
+    assert errors(found.world_from_camera, POSES[0])[0] < 0.5
+
+
+def test_an_outline_that_is_partly_hidden_does_not_carry_the_pose_away(model):
+    truth = POSES[2]
+    mask = see_boxes(truth, model.device) > 0
+    columns = np.flatnonzero(mask.any(axis=0))
+    mask[:, : columns[len(columns) // 6]] = False
+    start = perturb(twist(np.random.default_rng(4), 3.0, 0.008), truth, pivot_world=MIDDLE)
+    options = SilhouetteRefinementOptions(starts="one")
+    found = refine_with_silhouette(model, Query(camera=CAMERA, mask=mask), start, options=options)
+    angle, distance = errors(found.world_from_camera, truth)
+    assert angle < 2
+    assert distance < 0.01
+
+
+def test_without_an_outline_it_declines_with_the_reason(model):
+    nothing = Query(camera=CAMERA, mask=np.zeros((120, 160), bool))
+    assert "the mask has 0 pixels" in refine_with_silhouette(model, nothing, POSES[0]).reason
+    everything = Query(camera=CAMERA, mask=np.ones((120, 160), bool))
+    assert "outline is not in the image" in refine_with_silhouette(model, everything, POSES[0]).reason
+    neither = refine_with_silhouette(model, Query(camera=CAMERA), POSES[0])
+    assert "neither a mask nor a depth" in neither.reason
+    assert neither.declined
+    np.testing.assert_allclose(neither.world_from_camera, POSES[0], atol=1e-15)
+
+
+def test_a_start_that_is_not_rigid_is_an_error(model):
+    with pytest.raises(InputError, match="not rigid"):
+        refine_with_silhouette(model, Query(camera=CAMERA, mask=np.ones((120, 160), bool)), np.diag([2.0, 1, 1, 1]))
