@@ -29,7 +29,7 @@ $(DEMO)/comparison.png: $(DEMO)/poses.json
 	$(RUN) blender_addon $(DEMO)
 
 test: $(VENV)/dev.installed
-	$(RUN) pytest
+	$(RUN) pytest -n auto --dist loadfile
 
 # CI changes nothing: there, what is not formatted fails.
 lint: $(VENV)/dev.installed
