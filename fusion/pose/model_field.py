@@ -9,10 +9,14 @@ from typing import Any
 
 import warp as wp
 
+from fusion.devices import launch_in_slabs
+from fusion.surface.layers import step_along
 from fusion.surface.ray_traversal import corner_voxel
-from fusion.volume.block_table import find_block
+from fusion.surface.vertex_normals import Field, seen_voxel
+from fusion.volume.block_table import BLOCK_VOXELS, find_block
 from fusion.volume.trilinear import Corners, gradient_of_terms, trilinear_terms
-from fusion.volume.voxels import Voxels, distance_of, weight_of
+from fusion.volume.tsdf_volume import Volume
+from fusion.volume.voxels import distance_of, weight_of
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
@@ -20,6 +24,8 @@ NO_FIELD, FROM_VOLUME, FROM_GRID = 0, 1, 2
 _NO_FIELD = wp.constant(NO_FIELD)
 _FROM_VOLUME = wp.constant(FROM_VOLUME)
 _FROM_GRID = wp.constant(FROM_GRID)
+
+_VOXELS = wp.constant(BLOCK_VOXELS)
 
 _SATURATED = wp.constant(0.98)
 """A corner's distance, in truncations, from which on it says no more than "far"."""
@@ -32,20 +38,73 @@ _LEAST_SLOPE = wp.constant(0.4)
 class ModelField:
     """A volume and a grid of distances on a device.
 
-    ``keys``, ``numbers`` are the block table's, ``neighbours`` (n, 8) as in ``SurfaceCells``; the local origin is voxel
-    ``base``. ``grid`` (nx, ny, nz) in metres, its first node at ``grid_origin``, local metres.
+    ``keys``, ``numbers`` are the block table's, ``neighbours`` (n, 8) as in ``SurfaceCells``; ``distances``
+    (voxels,) in truncations as ``interpolated_distances`` gives them; the local origin is voxel ``base``. ``grid``
+    (nx, ny, nz) in metres, its first node at ``grid_origin``, local metres.
     """
 
     keys: wp.array(dtype=wp.int64)
     numbers: wp.array(dtype=int)
     neighbours: wp.array2d(dtype=int)
-    voxels: Voxels
+    distances: wp.array(dtype=float)
     base: wp.vec3i
     voxels_per_metre: float
     truncation: float
     grid: wp.array3d(dtype=float)
     grid_origin: wp.vec3
     nodes_per_metre: float
+
+
+@wp.kernel
+def _interpolated_distances(
+    first: int, field: Field, blocks: wp.array(dtype=wp.vec3i), most: float, distances: wp.array(dtype=float)
+) -> None:
+    voxel = wp.tid() + first
+    number = voxel / _VOXELS
+    within = voxel % _VOXELS
+    point = 8 * blocks[number] + wp.vec3i(within & 7, (within >> 3) & 7, within >> 6)
+    own = wp.where(weight_of(field.voxels, voxel) > 0.0, distance_of(field.voxels, voxel), 1.0)
+    distances[voxel] = own
+    if wp.abs(own) >= _SATURATED:
+        return
+    bend = float(0.0)
+    for axis in range(3):
+        step = step_along(axis)
+        after = seen_voxel(field, blocks[number], number, point + step)
+        before = seen_voxel(field, blocks[number], number, point - step)
+        if after >= 0 and before >= 0:
+            ahead = distance_of(field.voxels, after)
+            back = distance_of(field.voxels, before)
+            if wp.max(wp.abs(ahead), wp.abs(back)) < _SATURATED:
+                bend += ahead + back - 2.0 * own
+    distances[voxel] = own - wp.clamp(bend / 12.0, -most, most)
+
+
+def interpolated_distances(volume: Volume) -> wp.array:
+    """Return values at the voxels (512 · blocks,), truncations, between which interpolation has the surface in place.
+
+    Across a curved surface a distance bends upwards between two voxels, and the straight line between them lies above
+    it by half of a(1 − a) times its second difference: by a twelfth on average, which is taken off at the voxels. So
+    what is interpolated neither shrinks a ball nor widens a hollow. 1 where a voxel was not seen.
+    """
+    count = volume.table.count * BLOCK_VOXELS
+    field = Field()
+    field.keys = volume.table.keys
+    field.numbers = volume.table.numbers
+    field.voxels = volume.voxels
+    field.min_weight = 0.0
+    distances = wp.empty(count, dtype=float, device=volume.device)
+    # At edges and in noise the second difference is no curvature: a tenth of a voxel is more than any smooth shape's.
+    most = 0.1 * volume.voxel_size / volume.truncation
+    launch_in_slabs(
+        _interpolated_distances,
+        dim=count,
+        inputs=[field, volume.table.blocks, most],
+        outputs=[distances],
+        device=volume.device,
+        least_slab=4096,
+    )
+    return distances
 
 
 @wp.struct
@@ -77,9 +136,7 @@ def corners_in_volume(field: ModelField, cell: wp.vec3i) -> tuple[Corners, bool]
         if field.neighbours[number, (x >> 3) + 2 * (y >> 3) + 4 * (z >> 3)] < 0:
             return v, False
         voxel = corner_voxel(field.neighbours, number, within, corner)
-        if weight_of(field.voxels, voxel) <= 0.0:
-            return v, False
-        v[corner] = distance_of(field.voxels, voxel)
+        v[corner] = field.distances[voxel]
         if wp.abs(v[corner]) >= _SATURATED:
             return v, False
     return v, True

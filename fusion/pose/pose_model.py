@@ -10,7 +10,7 @@ from datagen.errors import InputError
 from datagen.rigid import Matrix
 from fusion.devices import Device, launch_in_slabs
 from fusion.pose.distance_grid import DistanceGrid, distance_grid
-from fusion.pose.model_field import SAMPLE_KERNEL, FieldSample, ModelField
+from fusion.pose.model_field import SAMPLE_KERNEL, FieldSample, ModelField, interpolated_distances
 from fusion.surface.marching_cubes import marching_cubes
 from fusion.surface.mesh import Mesh
 from fusion.surface.surface_cells import find_surface_cells
@@ -105,7 +105,7 @@ def _field(volume: Volume, grid: DistanceGrid, origin: NDArray[np.float64], base
     field.keys = volume.table.keys
     field.numbers = volume.table.numbers
     field.neighbours = find_surface_cells(volume).neighbours
-    field.voxels = volume.voxels
+    field.distances = interpolated_distances(volume)
     field.base = wp.vec3i(*base.tolist())
     field.voxels_per_metre = 1 / volume.voxel_size
     field.truncation = volume.truncation

@@ -173,3 +173,12 @@ def test_a_query_without_depth_or_of_another_size_is_an_error(model):
         refine_with_depth(model, Query(camera=CAMERA), POSES[0])
     with pytest.raises(InputError, match="its depth has 80×60 pixels, its camera 160×120"):
         Query(camera=CAMERA, depth=np.zeros((60, 80), np.float32))
+
+
+def test_interpolation_does_not_shrink_a_ball(device):
+    # A trilinear field of exact distances lies above them: its zero is inside a ball, by h²/(6 R) on average.
+    model = ball_model(device)
+    to_balls = np.sort(np.linalg.norm(sphere_points()[:, None] - CENTRES, axis=2) - RADII, axis=1)
+    found, _normals, sources = model.sample(sphere_points()[to_balls[:, 1] > 4 * VOXEL])
+    shrunk = VOXEL**2 / (6 * RADII.max())
+    assert abs(found[sources == FROM_VOLUME].mean()) < 0.15 * shrunk
