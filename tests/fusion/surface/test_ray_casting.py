@@ -5,8 +5,8 @@ from analytic_volume import analytic_volume, sphere
 from datagen.camera import PinholeCamera
 from datagen.errors import InputError
 from datagen.rigid import look_at
-from fusion.pose.nearest_pose import view_surface
 from fusion.surface.marching_cubes import marching_cubes
+from fusion.surface.mesh_ray_casting import cast_rays_at_mesh
 from fusion.surface.ray_casting import cast_depths, cast_rays
 from fusion.volume.tsdf_volume import Volume
 
@@ -111,7 +111,7 @@ def test_it_agrees_with_the_mesh_of_the_same_volume(device):
 
     volume = analytic_volume(torus, (-0.8,) * 3, (0.8,) * 3, device=device, voxel_size=0.02, truncation=0.08)
     poses = poses_around(8, distance=1.3, centre=np.zeros(3))
-    expected = view_surface(marching_cubes(volume), poses, CAMERA, device=device).depth.numpy()
+    expected = cast_rays_at_mesh(marching_cubes(volume), CAMERA, poses, device=device).depth.numpy()
     for pose, theirs in zip(poses, expected, strict=True):
         ours = cast_rays(volume, CAMERA, pose)
         facing = -(ours.normals * rays_of(CAMERA, pose)).sum(-1) / np.linalg.norm(rays_of(CAMERA, pose), axis=-1)
