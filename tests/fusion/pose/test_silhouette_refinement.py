@@ -45,7 +45,9 @@ def test_the_silhouette_is_sharp_at_the_outline_and_as_far_from_it_as_pixels_are
         edge = seen.edge_px.reshape(inside.shape)
         # A pixel is inside where its centre's ray meets the shape; edges are rounded by a share of a voxel, 0.4 px.
         wrong = (edge < 0) != inside
-        assert np.abs(edge[wrong]).max(initial=0) < 0.25
+        # One that is just within is told of by one beside, up to a pixel away.
+        assert np.abs(edge[wrong & inside]).max(initial=0) < 0.25
+        assert np.abs(edge[wrong & ~inside]).max(initial=0) < 1
         assert wrong.sum() < 0.1 * (np.abs(edge) < 1).sum()
         blurred = gaussian_filter(inside.astype(float), 1.0)
         assert np.abs(seen.coverage.reshape(inside.shape) - blurred).mean() < 0.01
