@@ -294,5 +294,7 @@ def _nearest_beside(
     by_label[labels[beside == 0]] = held[beside == 0]
     nearest = by_label[labels[rows, columns]]
     squares = ((pixels - pixels[nearest]) ** 2).sum(axis=1)
-    # The nearest pixel's centre lies beside the perpendicular by up to half a pixel: squared, a twelfth on average.
-    return nearest, np.sqrt(np.maximum(squares - inside / 12, 0)).astype(np.float32)
+    # The nearest pixel's centre lies beside the perpendicular: by up to half a pixel, squared a twelfth on average; a
+    # direct neighbour at up to 45°, whose cosine is 0.9 on average.
+    ways = np.where(squares < 1.5, 0.9 * np.sqrt(squares), np.sqrt(np.maximum(squares - 1 / 12, 0)))
+    return nearest, np.where(inside, ways, 0).astype(np.float32)
