@@ -1,7 +1,6 @@
 """``fusion mesh``: a mesh for other programs."""
 
 import argparse
-import json
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +9,7 @@ from rich.table import Table
 
 from datagen.commands.arguments import positive
 from datagen.progress import on_terminal
+from fusion.commands.arguments import add_device, add_json, print_json
 from fusion.edit_mesh import MeshEdits, edit_mesh
 from fusion.surface.mesh_files import WRITABLE
 
@@ -25,8 +25,8 @@ def add_command(commands: Any) -> None:
         "--smooth", type=positive, default=0, metavar="N", help="Taubin iterations: noise goes, the volume stays"
     )
     command.add_argument("--triangles", type=positive, metavar="N", help="decimate to about so many")
-    command.add_argument("--device", default="auto", metavar="auto|cpu|cuda[:N]")
-    command.add_argument("--json", action="store_true", help="print the result as JSON alone")
+    add_device(command)
+    add_json(command)
     command.set_defaults(run=_run)
 
 
@@ -40,7 +40,7 @@ def _run(options: argparse.Namespace) -> None:
     with on_terminal() as progress:
         result = edit_mesh(options.mesh, options.out, edits, device=options.device, progress=progress)
     if options.json:
-        print(json.dumps(result, indent=2, allow_nan=False))
+        print_json(result)
         return
     print(f"{result['file']}: {result['vertices']:,} vertices, {result['triangles']:,} triangles")
     if result["left_out"]:

@@ -6,6 +6,7 @@ from typing import Any
 
 from datagen.open_dataset import open_dataset
 from datagen.progress import on_terminal
+from fusion.commands.arguments import add_device
 from fusion.reconstruction_config import ReconstructionConfig
 from fusion.report.report import write_report
 
@@ -18,7 +19,7 @@ def add_command(commands: Any) -> None:
     command.add_argument("--voxel-size", type=float, metavar="M", help="metres; from the data if not given")
     command.add_argument("--depth-max", type=float, metavar="M", help="take farther depths as invalid")
     command.add_argument("--view-frame", type=int, metavar="N", help="take pictures from this frame's pose")
-    command.add_argument("--device", default="auto", metavar="auto|cpu|cuda[:N]")
+    add_device(command)
     command.set_defaults(run=_run)
 
 

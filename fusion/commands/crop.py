@@ -1,0 +1,43 @@
+"""``fusion crop``: a box of a reconstruction."""
+
+import argparse
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+from datagen.progress import on_terminal
+from fusion.commands.arguments import add_device, add_json, add_reconstruction, print_record
+from fusion.edit_reconstruction import crop_reconstruction
+
+
+def add_command(commands: Any) -> None:
+    """Add the command to the parser's ``commands``."""
+    command = commands.add_parser("crop", help="keep a box of the world")
+    add_reconstruction(command)
+    command.add_argument("out", type=Path, help="the folder to write")
+    for option in ("--low", "--high"):
+        text = "a corner of the box, metres; _ for no bound along an axis, as in --low _ _ 0.05"
+        command.add_argument(option, type=_bound, nargs=3, default=[None] * 3, metavar=("X", "Y", "Z"), help=text)
+    add_device(command)
+    add_json(command)
+    command.set_defaults(run=_run)
+    # argparse takes -1e-3 for an option; this is its own switch for what is a number.
+    command._negative_number_matcher = re.compile(r"^-(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$")
+
+
+def _run(options: argparse.Namespace) -> None:
+    low = [-math.inf if value is None else value for value in options.low]
+    high = [math.inf if value is None else value for value in options.high]
+    with on_terminal() as progress:
+        record = crop_reconstruction(
+            options.reconstruction, options.out, low=low, high=high, device=options.device, progress=progress
+        )
+    print_record(options, record)
+
+
+def _bound(text: str) -> float | None:
+    try:
+        return None if text == "_" else float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is no bound; expected metres, or _ for none") from None

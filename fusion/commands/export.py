@@ -1,0 +1,34 @@
+"""``fusion export``: a volume in formats of other tools."""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from datagen.progress import on_terminal
+from fusion.commands.arguments import add_device, add_json, add_reconstruction, print_result
+from fusion.export import export
+
+
+def add_command(commands: Any) -> None:
+    """Add the command to the parser's ``commands``."""
+    command = commands.add_parser("export", help="write the surface with normals (.ply) or the field (.vdb)")
+    add_reconstruction(command)
+    command.add_argument("out", type=Path, help="a file whose name ends in .ply or .vdb")
+    command.add_argument("--points", action="store_true", help="points, not a mesh (.ply)")
+    command.add_argument("--min-weight", type=float, default=0.0, metavar="W", help="only where more was seen (.ply)")
+    add_device(command)
+    add_json(command)
+    command.set_defaults(run=_run)
+
+
+def _run(options: argparse.Namespace) -> None:
+    with on_terminal() as progress:
+        written = export(
+            options.reconstruction,
+            options.out,
+            points=options.points,
+            min_weight=options.min_weight,
+            device=options.device,
+            progress=progress,
+        )
+    print_result(options, {"file": str(options.out), "written": written}, f"{options.out}: {written}")

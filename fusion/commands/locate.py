@@ -1,0 +1,59 @@
+"""``fusion locate``: the nearest fused pose of each frame."""
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from datagen.open_dataset import open_dataset
+from datagen.progress import on_terminal
+from fusion.commands.arguments import (
+    add_depth_layer,
+    add_device,
+    add_frames,
+    add_json,
+    add_reconstruction,
+    print_json,
+)
+from fusion.pose.locate import locate
+from fusion.reconstruction_files import LocatedPose, poses_as_json
+
+
+def add_command(commands: Any) -> None:
+    """Add the command to the parser's ``commands``."""
+    command = commands.add_parser("locate", help="find the nearest fused pose of each frame")
+    add_reconstruction(command)
+    command.add_argument("dataset", type=Path, help="where the query frames are")
+    add_depth_layer(command)
+    add_frames(command)
+    add_device(command)
+    add_json(command)
+    command.set_defaults(run=_run)
+
+
+def _run(options: argparse.Namespace) -> None:
+    dataset = open_dataset(options.dataset)
+    if options.depth is not None:
+        dataset = dataset.with_depth_layer(options.depth)
+    with on_terminal() as progress:
+        located = locate(
+            options.reconstruction, dataset, frames=options.frames, device=options.device, progress=progress
+        )
+    for frame, reason in located.failures.items():
+        print(f"fusion: note: frame {frame} was not located: {reason}", file=sys.stderr)
+    if options.json:
+        print_json(poses_as_json(located.poses))
+    else:
+        _print_poses(located.poses)
+
+
+def _print_poses(poses: list[LocatedPose]) -> None:
+    table = Table("query", "nearest", "score (mm²)", "rotation error (°)", "translation error (m)", box=None)
+    for pose in poses:
+        rotation = "–" if pose.rotation_error_deg is None else f"{pose.rotation_error_deg:.2f}"
+        translation = "–" if pose.translation_error_m is None else f"{pose.translation_error_m:.4f}"
+        table.add_row(str(pose.query), str(pose.nearest), f"{1e6 * pose.score:.3f}", rotation, translation)
+    Console().print(table)

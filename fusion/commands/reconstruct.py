@@ -1,0 +1,138 @@
+"""``fusion reconstruct``: a dataset into a coloured mesh."""
+
+import argparse
+from pathlib import Path
+from typing import Any, get_args
+
+from rich.console import Console
+from rich.table import Table
+
+from datagen.open_dataset import open_dataset
+from datagen.progress import on_terminal
+from fusion.commands.arguments import add_depth_layer, add_device, add_frames, add_json, print_json
+from fusion.commands.metrics import print_metrics
+from fusion.integration.options import DepthSampling, Integration, Weighting
+from fusion.reconstruct import reconstruct
+from fusion.reconstruction_config import ReconstructionConfig
+from fusion.reconstruction_files import ReconstructionRecord
+from fusion.surface.meshers import Mesher, OracleName
+from fusion.volume.voxels import Storage
+
+
+def add_command(commands: Any) -> None:
+    """Add the command to the parser's ``commands``."""
+    command = commands.add_parser("reconstruct", help="fuse a dataset into a coloured mesh")
+    command.add_argument("dataset", type=Path, help="a Scanback dataset or a 7-Scenes sequence")
+    command.add_argument("out", type=Path, help="the folder to write")
+    command.add_argument("--voxel-size", type=float, metavar="M", help="metres; from the data if not given")
+    command.add_argument("--truncation", type=float, metavar="M", help="metres; 4 voxels if not given")
+    command.add_argument("--depth-max", type=float, metavar="M", help="take farther depths as invalid")
+    add_depth_layer(command)
+    _add_integration(command)
+    _add_meshing(command)
+    add_frames(command)
+    add_device(command)
+    add_json(command)
+    command.set_defaults(run=_run)
+
+
+def _add_integration(command: argparse.ArgumentParser) -> None:
+    defaults = ReconstructionConfig()
+    command.add_argument(
+        "--depth-sampling",
+        choices=get_args(DepthSampling),
+        default=defaults.integration.depth_sampling,
+        help="the pixel nearest to a voxel, or between four where they are of one surface (default: %(default)s)",
+    )
+    command.add_argument(
+        "--weighting",
+        choices=get_args(Weighting),
+        default=defaults.integration.weighting,
+        help="how much a pixel counts, by its depth or by the angle at which it sees (default: %(default)s)",
+    )
+    command.add_argument(
+        "--drop-off",
+        action=argparse.BooleanOptionalAction,
+        default=defaults.integration.drop_off,
+        help="let the weight fall to nothing behind the surface (default: %(default)s)",
+    )
+    command.add_argument("--weight-cap", type=float, metavar="W", help="the most a voxel's past counts, in frames")
+    command.add_argument(
+        "--min-weight", type=float, default=defaults.min_weight, metavar="W", help="mesh only what was seen more often"
+    )
+    command.add_argument(
+        "--storage",
+        choices=get_args(Storage),
+        default=defaults.storage,
+        help="8 bytes a voxel, rounded, or 24, exact (default: %(default)s)",
+    )
+
+
+def _add_meshing(command: argparse.ArgumentParser) -> None:
+    defaults = ReconstructionConfig()
+    command.add_argument(
+        "--mesher",
+        choices=get_args(Mesher),
+        default=defaults.mesher,
+        help="marching cubes, or dual contouring, which keeps sharp edges (default: %(default)s)",
+    )
+    command.add_argument(
+        "--oracle",
+        choices=get_args(OracleName),
+        default=defaults.oracle,
+        help="what dual contouring goes by: the volume, or the depth images themselves, sharper and slower "
+        "(default: %(default)s)",
+    )
+
+
+def _run(options: argparse.Namespace) -> None:
+    config = ReconstructionConfig(
+        voxel_size=options.voxel_size,
+        truncation=options.truncation,
+        depth_max=options.depth_max,
+        frames=options.frames,
+        device=options.device,
+        storage=options.storage,
+        min_weight=options.min_weight,
+        integration=Integration(
+            depth_sampling=options.depth_sampling,
+            weighting=options.weighting,
+            drop_off=options.drop_off,
+            weight_cap=options.weight_cap,
+        ),
+        mesher=options.mesher,
+        oracle=options.oracle,
+        depth_layer=options.depth,
+    )
+    dataset = open_dataset(options.dataset)
+    with on_terminal() as progress:
+        result = reconstruct(dataset, options.out, config, progress=progress)
+    if options.json:
+        print_json(result.record.model_dump(mode="json"))
+    else:
+        _print_record(result.record, config, options.out)
+
+
+def _print_record(record: ReconstructionRecord, config: ReconstructionConfig, folder: Path) -> None:
+    voxel_origin = "" if config.voxel_size else " (from the data)"
+    truncation_origin = "" if config.truncation else " (4 voxels)"
+    size = [high - low for low, high in zip(*record.bounds_m, strict=True)]
+    lines = {
+        "voxel size": f"{record.voxel_size_m:g} m{voxel_origin}",
+        "truncation": f"{record.truncation_m:g} m{truncation_origin}",
+        "bounds": " × ".join(f"{side:.2f}" for side in size) + f" m, {record.blocks:,} blocks",
+        "fused": f"{record.frames} frames on {record.device} at {record.frames_per_second:.0f} frames/s, "
+        f"{record.frames_per_second_with_decoding:.0f} with decoding",
+        "voxels": f"{record.voxels_observed:,} observed, {record.voxel_updates:,} updates",
+        "seconds": ", ".join(f"{name} {seconds:.2f}" for name, seconds in record.seconds if name != "decode")
+        + f"; beside these, threads decoded for {record.seconds.decode:.2f}",
+        "mesh": f"{record.vertices:,} vertices, {record.triangles:,} triangles",
+        "peak memory": f"{record.peak_memory_mb:.0f} MiB",
+        "written": str(folder),
+    }
+    table = Table.grid(padding=(0, 2))
+    for name, text in lines.items():
+        table.add_row(name, text)
+    Console().print(table)
+    if record.metrics is not None:
+        print_metrics(record.metrics)

@@ -1,0 +1,43 @@
+"""``fusion render``: what a reconstruction looks like from a pose."""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from datagen.commands.arguments import image_size
+from datagen.dataset import read_pose
+from datagen.progress import on_terminal
+from fusion.commands.arguments import add_device, add_json, add_reconstruction, print_result
+from fusion.render import render
+
+
+def add_command(commands: Any) -> None:
+    """Add the command to the parser's ``commands``."""
+    command = commands.add_parser("render", help="see a reconstruction from a pose: colour, depth, normals")
+    add_reconstruction(command)
+    command.add_argument("out", type=Path, help="the folder to write")
+    view = command.add_mutually_exclusive_group(required=True)
+    view.add_argument("--frame", type=int, metavar="N", help="from the pose of this frame")
+    view.add_argument("--pose", type=Path, metavar="FILE", help="from this pose: 4×4 world_from_camera, as text")
+    command.add_argument(
+        "--size", type=image_size, metavar="WxH", help="image size in pixels; the frames' if not given"
+    )
+    add_device(command)
+    add_json(command)
+    command.set_defaults(run=_run)
+
+
+def _run(options: argparse.Namespace) -> None:
+    pose = None if options.pose is None else read_pose(options.pose)
+    with on_terminal() as progress:
+        view = render(
+            options.reconstruction,
+            options.out,
+            frame=options.frame,
+            world_from_camera=pose,
+            size=options.size,
+            device=options.device,
+            progress=progress,
+        )
+    text = f"{options.out}: surface at {100 * view['coverage']:.1f} % of the pixels, {view['depth_scale']:g} m a step"
+    print_result(options, view, text)
