@@ -5,8 +5,6 @@ saturated or was never observed, the coarse grid of distances. Points are in the
 its origin moved near the model, so that float32 keeps its digits.
 """
 
-from typing import Any
-
 import warp as wp
 
 from fusion.devices import launch_in_slabs
@@ -219,4 +217,8 @@ def _sample(
     samples[index] = sample_field(field, points[index])
 
 
-SAMPLE_KERNEL: Any = _sample
+def sample_points(field: ModelField, points: wp.array) -> wp.array:
+    """Return the field's ``FieldSample`` at local points (n,), on their device."""
+    samples = wp.empty(len(points), dtype=FieldSample, device=points.device)
+    launch_in_slabs(_sample, dim=len(points), inputs=[field, points], outputs=[samples], device=points.device)
+    return samples

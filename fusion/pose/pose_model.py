@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from datagen.errors import InputError
 from datagen.rigid import Matrix
-from fusion.devices import Device, launch_in_slabs
+from fusion.devices import Device
 from fusion.pose.distance_grid import DistanceGrid, distance_grid
-from fusion.pose.model_field import SAMPLE_KERNEL, FieldSample, ModelField, interpolated_distances
+from fusion.pose.model_field import ModelField, interpolated_distances, sample_points
 from fusion.surface.marching_cubes import marching_cubes
 from fusion.surface.mesh import Mesh
 from fusion.surface.surface_cells import find_surface_cells
@@ -62,12 +62,7 @@ class PoseModel:
         The sources are those of ``model_field``; where it is NO_FIELD the others are 0.
         """
         local = (np.asarray(points_world, dtype=np.float64) - self.origin_world).astype(np.float32)
-        samples = wp.empty(len(local), dtype=FieldSample, device=self.device)
-        points = wp.array(local, dtype=wp.vec3, device=self.device)
-        launch_in_slabs(
-            SAMPLE_KERNEL, dim=len(local), inputs=[self.field, points], outputs=[samples], device=self.device
-        )
-        found = samples.numpy()
+        found = sample_points(self.field, wp.array(local, dtype=wp.vec3, device=self.device)).numpy()
         return found["distance"], found["normal"], found["source"]
 
 
