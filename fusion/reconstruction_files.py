@@ -89,18 +89,47 @@ class ReconstructionRecord(_Record):
     versions: dict[str, str]
 
 
+class StageResult(_Record):
+    """What a stage of refinement did (``fusion.pose.refinement.Refinement``)."""
+
+    stage: str
+    converged: bool
+    declined: bool
+    reason: str
+    residual: float | None
+    unit: str
+    inlier_share: float
+    overlap: float | None
+    score: float | None
+
+
+class RefinedPose(_Record):
+    """A located frame's refined pose, whether it is to be believed, and what the stages did."""
+
+    world_from_camera: Rows
+    verdict: str
+    reasons: list[str]
+    stages: list[StageResult]
+    rotation_error_deg: float | None = None
+    translation_error_m: float | None = None
+
+
 class LocatedPose(_Record):
     """One entry of ``poses.json``.
 
     ``query`` and ``nearest`` are frame numbers; ``score`` (m²) is the mean squared difference between the query's depth
-    and that of the model seen from ``world_from_camera``, the pose of ``nearest``. Errors are against the query's true
-    pose.
+    and that of the model seen from ``world_from_camera``, the pose of ``nearest``. ``nearest_frames`` are the nearest,
+    best first; ``ambiguous`` where the view looks alike from another side. ``refined`` is there where stages of
+    refinement were asked for. Errors are against the query's true pose.
     """
 
     query: int
     nearest: int
     score: float
     world_from_camera: Rows
+    nearest_frames: list[int]
+    ambiguous: bool
+    refined: RefinedPose | None = None
     rotation_error_deg: float | None = None
     translation_error_m: float | None = None
 

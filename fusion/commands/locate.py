@@ -27,6 +27,12 @@ def add_command(commands: Any) -> None:
     command = commands.add_parser("locate", help="find the nearest fused pose of each frame")
     add_reconstruction(command)
     command.add_argument("dataset", type=Path, help="where the query frames are")
+    command.add_argument(
+        "--stages",
+        default="nearest",
+        metavar="A,B",
+        help="nearest, then what refines the pose: epipolar, silhouette, depth (default: nearest alone)",
+    )
     add_depth_layer(command)
     add_frames(command)
     add_device(command)
@@ -40,7 +46,12 @@ def _run(options: argparse.Namespace) -> None:
         dataset = dataset.with_depth_layer(options.depth)
     with on_terminal() as progress:
         located = locate(
-            options.reconstruction, dataset, frames=options.frames, device=options.device, progress=progress
+            options.reconstruction,
+            dataset,
+            frames=options.frames,
+            stages=options.stages,
+            device=options.device,
+            progress=progress,
         )
     for frame, reason in located.failures.items():
         print(f"fusion: note: frame {frame} was not located: {reason}", file=sys.stderr)
@@ -51,9 +62,19 @@ def _run(options: argparse.Namespace) -> None:
 
 
 def _print_poses(poses: list[LocatedPose]) -> None:
-    table = Table("query", "nearest", "score (mm²)", "rotation error (°)", "translation error (m)", box=None)
+    refined = any(pose.refined is not None for pose in poses)
+    columns = ("query", "nearest", "score (mm²)", "rotation error (°)", "translation error (m)")
+    table = Table(*columns, *(("verdict", "refined (°)", "refined (mm)") if refined else ()), box=None)
     for pose in poses:
-        rotation = "–" if pose.rotation_error_deg is None else f"{pose.rotation_error_deg:.2f}"
-        translation = "–" if pose.translation_error_m is None else f"{pose.translation_error_m:.4f}"
-        table.add_row(str(pose.query), str(pose.nearest), f"{1e6 * pose.score:.3f}", rotation, translation)
+        score = f"{1e6 * pose.score:.3f}{' (ambiguous)' if pose.ambiguous else ''}"
+        row = [str(pose.query), str(pose.nearest), score]
+        row += [_number(pose.rotation_error_deg, 2), _number(pose.translation_error_m, 4)]
+        if pose.refined is not None:
+            millimetres = pose.refined.translation_error_m and 1000 * pose.refined.translation_error_m
+            row += [pose.refined.verdict, _number(pose.refined.rotation_error_deg, 3), _number(millimetres, 2)]
+        table.add_row(*row)
     Console().print(table)
+
+
+def _number(value: float | None, digits: int) -> str:
+    return "–" if value is None else f"{value:.{digits}f}"

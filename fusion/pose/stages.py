@@ -1,0 +1,55 @@
+"""The stages of locating a view, one after the other: epipolar rectification, silhouette, depth."""
+
+from collections.abc import Callable, Sequence
+from typing import Literal, get_args
+
+from datagen.errors import InputError
+from datagen.rigid import Matrix
+from fusion.pose.depth_refinement import refine_with_depth
+from fusion.pose.epipolar import ReferenceFrame, rectify
+from fusion.pose.pose_model import PoseModel
+from fusion.pose.query import Query
+from fusion.pose.refinement import Refinement, Stage
+from fusion.pose.silhouette_refinement import refine_with_silhouette
+
+StageName = Literal["nearest", "epipolar", "silhouette", "depth"]
+STAGES: tuple[StageName, ...] = get_args(StageName)
+
+
+def parse_stages(text: str) -> tuple[StageName, ...]:
+    """Return the stages of a list such as ``nearest,depth``.
+
+    Raises InputError for an unknown one, one that is named twice, and where the first is not ``nearest``, from which
+    all others start.
+    """
+    names = tuple(text.split(","))
+    unknown = [name for name in names if name not in STAGES]
+    if unknown or names[0] != "nearest" or len(set(names)) < len(names):
+        raise InputError(f"--stages {text}: expected nearest first, then any of {', '.join(STAGES[1:])}, each once")
+    return tuple(name for wanted in names for name in STAGES if name == wanted)
+
+
+def refine(
+    model: PoseModel,
+    query: Query,
+    references: Sequence[ReferenceFrame],
+    start: Matrix,
+    stages: Sequence[StageName],
+) -> list[Refinement]:
+    """Run ``stages`` from ``start`` (world_from_camera), each from the pose that the one before it hands on.
+
+    ``references`` are the fused frames nearest to the start, for the epipolar stage. ``nearest`` is what the start came
+    from, and nothing is done for it.
+    """
+    run: dict[Stage, Callable[[Matrix], Refinement]] = {
+        "epipolar": lambda pose: rectify(model, query, references, pose),
+        "silhouette": lambda pose: refine_with_silhouette(model, query, pose),
+        "depth": lambda pose: refine_with_depth(model, query, pose),
+    }
+    results: list[Refinement] = []
+    pose = start
+    for name in stages:
+        if name != "nearest":
+            results.append(run[name](pose))
+            pose = results[-1].world_from_camera
+    return results
