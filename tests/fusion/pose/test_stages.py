@@ -14,7 +14,6 @@ from fusion.pose.stages import parse_stages
 from fusion.surface.mesh import Mesh
 from fusion.surface.mesh_ray_casting import cast_rays_at_mesh
 
-
 VOXEL = 0.01
 
 
