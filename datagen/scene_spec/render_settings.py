@@ -11,7 +11,7 @@ RenderedLayer = Literal["normals", "masks", "flow"]
 
 PRESETS: MappingProxyType[str, dict[str, Any]] = MappingProxyType(
     {
-        "draft": {"samples": 1, "bounces": 2, "denoise": True, "denoise_guided": False},
+        "draft": {"samples": 1, "bounces": 1, "denoise": False, "denoise_guided": False},
         "standard": {"samples": 2, "bounces": 3, "denoise": True, "denoise_guided": True},
         "high": {"samples": 32, "bounces": 8, "denoise": True, "denoise_guided": True},
     }
