@@ -32,13 +32,14 @@ from datagen.camera import PinholeCamera
 from datagen.rigid import inverse, look_at
 from fusion.devices import launch_in_slabs, resolve_device
 from fusion.evaluation.evaluate import SurfaceSamples, sample_surface
-from fusion.surface.closest_points import closest_points
 from fusion.frames.frame_batch import FrameUploader
 from fusion.integration.fuse_batch import find_batch_blocks, integrate_batch, load_fusion_kernels
 from fusion.integration.options import DepthSampling, Integration, Weighting
+from fusion.surface.closest_points import closest_points
 from fusion.surface.marching_cubes import marching_cubes
 from fusion.surface.mesh import Mesh
 from fusion.surface.mesh_files import read_mesh
+from fusion.surface.mesh_ray_casting import cast_rays_at_mesh
 from fusion.volume.tsdf_volume import Volume
 
 wp.set_module_options({"enable_backward": False})
@@ -52,24 +53,6 @@ SPHERE_CENTRE, SPHERE_RADIUS = np.array([0.013, -0.021, 0.034]), 0.25
 
 
 # --- what is seen -----------------------------------------------------------------------------------------------------
-
-
-@wp.kernel
-def _cast_rays(
-    first: int, mesh: wp.uint64, poses: wp.array(dtype=wp.mat44), intrinsics: wp.vec4, depth: wp.array3d(dtype=float)
-):
-    index = wp.tid() + first
-    width = depth.shape[2]
-    height = depth.shape[1]
-    u = index % width
-    v = (index / width) % height
-    frame = index / (width * height)
-    ray = wp.vec3((float(u) - intrinsics[2]) / intrinsics[0], (float(v) - intrinsics[3]) / intrinsics[1], 1.0)
-    origin = wp.transform_point(poses[frame], wp.vec3(0.0, 0.0, 0.0))
-    direction = wp.transform_vector(poses[frame], ray)
-    length = wp.length(direction)
-    hit = wp.mesh_query_ray(mesh, origin, direction / length, 1.0e6)
-    depth[frame, v, u] = wp.where(hit.result, hit.t / length, 0.0)
 
 
 @wp.kernel
@@ -182,10 +165,12 @@ class MeshScene(Scene):
         return wp.array(np.stack(matrices).astype(np.float32), dtype=wp.mat44, device=self.device)
 
     def depth(self, frame):
-        depth = wp.empty((1, CAMERA.height, CAMERA.width), dtype=float, device=self.device)
-        inputs = [self._hierarchy.id, self._matrices([self.poses[frame]]), self._intrinsics]
-        launch_in_slabs(_cast_rays, dim=depth.size, inputs=inputs, outputs=[depth], device=self.device)
-        return depth.numpy()[0]
+        return self._depths[frame]
+
+    @cached_property
+    def _depths(self):
+        hits = cast_rays_at_mesh(self.mesh, CAMERA, self.poses, device=self.device, depth_only=True)
+        return hits.depth.numpy()
 
     def distances(self, points):
         closest = closest_points(self.mesh, points, device=self.device)
