@@ -129,7 +129,7 @@ def test_a_sensors_depth_can_stand_for_depth(folder):
     seen = dataset.with_depth_layer("sensor_depth")
     np.testing.assert_allclose(seen.depth(0), noisy, atol=dataset.depth_scale / 2 + 1e-6)
     np.testing.assert_array_equal(seen.color(0), dataset.color(0))
-    with pytest.raises(InputError, match="frame-000001.depth.png: the file is missing"):
+    with pytest.raises(InputError, match=r"frame-000001\.depth\.png: the file is missing"):
         seen.require((0, 1))
     with pytest.raises(InputError, match="right_depth: not depth that the frames' own camera sees"):
         dataset.with_depth_layer("right_depth")
