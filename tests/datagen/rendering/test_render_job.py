@@ -29,7 +29,7 @@ SCENE_FILE = """
 name = "killed"
 [render]
 frames = 12
-size = [64, 48]
+size = [256, 192]
 samples = 2
 [materials.red]
 color = "#c03020"
@@ -91,20 +91,37 @@ def open_every_complete_frame(folder):
     return len(complete)
 
 
-def wait_for_frame(process, folder, frame, *, being_written):
-    """Wait until ``frame`` frames are there, or if wanted until the files of the next one are being written."""
+def wait_for_frame(process, folder, frame):
+    """Wait until ``frame`` frames are there."""
     frames = folder / "frames"
     while process.poll() is None:
-        names = os.listdir(frames) if frames.is_dir() else []
-        if sum(name.endswith(".pose.txt") for name in names) >= frame and not (being_written and len(names) % 3 == 0):
+        if frames.is_dir() and sum(name.endswith(".pose.txt") for name in os.listdir(frames)) >= frame:
             return
+
+
+def stop_while_writing(process, workers, folder):
+    """Stop the workers (SIGSTOP) at a moment at which a frame is half written, however seldom those are."""
+    frames = folder / "frames"
+    while process.poll() is None:
+        if frames.is_dir() and len(os.listdir(frames)) % 3:
+            signal_all(workers, signal.SIGSTOP)
+            if half_written(folder):
+                return
+            signal_all(workers, signal.SIGCONT)
+
+
+def signal_all(workers, number):
+    for worker in workers:
+        with contextlib.suppress(ProcessLookupError):  # it may just have finished its last frame
+            os.kill(worker.pid, number)  # at once: psutil looks around first
 
 
 def workers_of(process):
     """Wait for the rendering processes of a run and return them."""
     while process.poll() is None:
         with contextlib.suppress(psutil.NoSuchProcess):
-            if workers := psutil.Process(process.pid).children():
+            children = psutil.Process(process.pid).children()
+            if workers := [child for child in children if "datagen.blender.worker" in child.cmdline()]:
                 return workers
     return []
 
@@ -118,11 +135,11 @@ def test_a_render_killed_at_random_moments_resumes_to_the_same_bits(scene_file, 
             process = subprocess.Popen(command(scene_file, out), cwd=CHECKOUT, stdout=nowhere, stderr=nowhere)
         workers = workers_of(process)
         if frame:
-            wait_for_frame(process, out, frame, being_written=i % 2 == 0)
+            wait_for_frame(process, out, frame)
         if i % 2 == 0:  # the writer too, at once; else it may finish its frame
-            for worker in workers:
-                with contextlib.suppress(psutil.NoSuchProcess):  # it may just have finished its last frame
-                    worker.send_signal(signal.SIGKILL)
+            if frame:
+                stop_while_writing(process, workers, out)
+            signal_all(workers, signal.SIGKILL)
         else:
             time.sleep(chance.uniform(0, 0.1))
         process.kill()
