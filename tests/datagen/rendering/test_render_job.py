@@ -215,7 +215,7 @@ def test_control_c_stops_the_workers_says_how_to_go_on_and_leaves_nothing_torn(s
     ("options", "difference"),
     [
         (("--frames", "13"), "its render.frames is 12, now asked for is 13"),
-        (("--size", "32x24"), r"its render.size\[0\] is 64, now asked for is 32"),
+        (("--size", "32x24"), r"its render.size\[0\] is 256, now asked for is 32"),
         (("--samples", "3"), "its render.samples is 2, now asked for is 3"),
         (("--seed", "9"), "its render.seed is 0, now asked for is 9"),
     ],
