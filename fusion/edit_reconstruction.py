@@ -13,6 +13,7 @@ from datagen.atomic_write import require_writable
 from datagen.errors import InputError
 from datagen.progress import ProgressReporter, silent
 from fusion.devices import load_kernels, resolve_device
+from fusion.meshing import mesh_again, recorded_config
 from fusion.reconstruction_config import ReconstructionConfig
 from fusion.reconstruction_files import (
     MESH_FILE,
@@ -27,9 +28,9 @@ from fusion.reconstruction_files import (
     relative_to,
     write_record,
 )
-from fusion.surface.marching_cubes import marching_cubes
 from fusion.surface.mesh import Mesh
 from fusion.surface.mesh_files import write_mesh
+from fusion.surface.meshers import Mesher, OracleName
 from fusion.volume.tsdf_volume import Volume
 from fusion.volume.volume_file import load_volume, save_volume
 from fusion.volume.volume_operations import crop, merge
@@ -38,8 +39,6 @@ from fusion.volume.voxel_counts import count_observed
 KERNEL_MODULES = (
     "fusion.volume.block_table",
     "fusion.volume.volume_operations",
-    "fusion.surface.cells",
-    "fusion.surface.marching_cubes",
     "fusion.volume.voxel_counts",
 )
 
@@ -50,49 +49,85 @@ def crop_reconstruction(
     *,
     low: ArrayLike,
     high: ArrayLike,
+    mesher: Mesher | None = None,
+    oracle: OracleName | None = None,
     device: str = "auto",
     progress: ProgressReporter = silent,
 ) -> ReconstructionRecord:
     """Write the part of a reconstruction in a box of the world (``volume_operations.crop``) as one of its own.
 
-    Its record has the frames and times of the whole. Raises InputError where the box is none or holds no surface.
+    It is meshed as the whole was, or by ``mesher`` and ``oracle``. Its record has the frames and times of the whole.
+    Raises InputError where the box is none or holds no surface.
     """
     record = read_record(folder)
+    config = recorded_config(folder, record, mesher=mesher, oracle=oracle)
     _require_new(out, [folder])
     target = resolve_device(device)
     load_kernels(KERNEL_MODULES, device=target, progress=progress)
     volume = crop(load_volume(folder / VOLUME_FILE, device=target), low, high)
-    mesh = _mesh(volume, record, f"--low {_listed(low)} --high {_listed(high)}: the volume has blocks in this box")
+    found = f"--low {_listed(low)} --high {_listed(high)}: the volume has blocks in this box"
+    mesh = _mesh(volume, folder, record, config, found, progress)
     bounds = (np.maximum(record.bounds_m[0], low).tolist(), np.minimum(record.bounds_m[1], high).tolist())
     changed = {
         "dataset": relative_to(out, folder / record.dataset),
         "bounds_m": bounds,
         "metrics": None,
-        "config": record.config | {"crop": {"low": _listed(low), "high": _listed(high)}},
+        "config": record.config | _meshed_by(config) | {"crop": {"low": _listed(low), "high": _listed(high)}},
     }
     return _write(out, volume, mesh, record.model_copy(update=changed | _sizes(volume, mesh)))
 
 
 def merge_reconstructions(
-    folders: Sequence[Path], out: Path, *, device: str = "auto", progress: ProgressReporter = silent
+    folders: Sequence[Path],
+    out: Path,
+    *,
+    mesher: Mesher | None = None,
+    oracle: OracleName | None = None,
+    device: str = "auto",
+    progress: ProgressReporter = silent,
 ) -> ReconstructionRecord:
     """Write reconstructions of different frames of one dataset as one (``fusion.volume.volume_operations.merge``).
 
-    Times and frames in its record are those of all. Raises InputError for reconstructions of different datasets,
-    cameras or voxels, and for a frame that is in two of them, which would count twice.
+    It is meshed as they were, or by ``mesher`` and ``oracle``. Times and frames in its record are those of all. Raises
+    InputError for reconstructions of different datasets, cameras or voxels, for a frame that is in two of them, which
+    would count twice, and where they were meshed differently and no mesher is given.
     """
     records = [read_record(folder) for folder in folders]
     _require_disjoint(folders, records)
+    config = _common_meshing(folders, records, mesher, oracle)
     _require_new(out, folders)
-    record = _joined(folders, records, out)
+    record = _joined(folders, records, out, config)
     target = resolve_device(device)
     load_kernels(KERNEL_MODULES, device=target, progress=progress)
     volume = merge([load_volume(folder / VOLUME_FILE, device=target) for folder in folders])
-    mesh = _mesh(volume, records[0], f"{out}: the merged volume has blocks")
+    mesh = _mesh(volume, out, record, config, f"{out}: the merged volume has blocks", progress)
     return _write(out, volume, mesh, record.model_copy(update=_sizes(volume, mesh)))
 
 
-def _joined(folders: Sequence[Path], records: Sequence[ReconstructionRecord], out: Path) -> ReconstructionRecord:
+def _common_meshing(
+    folders: Sequence[Path],
+    records: Sequence[ReconstructionRecord],
+    mesher: Mesher | None,
+    oracle: OracleName | None,
+) -> ReconstructionConfig:
+    """Return how all were meshed, or are to be; raises InputError where they were meshed differently."""
+    configs = [
+        recorded_config(folder, record, mesher=mesher, oracle=oracle)
+        for folder, record in zip(folders, records, strict=True)
+    ]
+    for folder, config in zip(folders, configs, strict=True):
+        for option in ("mesher", "oracle") if config.mesher == "dual-contouring" else ("mesher",):
+            ours, first = getattr(config, option), getattr(configs[0], option)
+            if ours != first:
+                raise InputError(
+                    f"{folder}: meshed with --{option} {ours}, and {folders[0]} with {first}; say --{option}"
+                )
+    return configs[0]
+
+
+def _joined(
+    folders: Sequence[Path], records: Sequence[ReconstructionRecord], out: Path, config: ReconstructionConfig
+) -> ReconstructionRecord:
     """Return the record of all frames together."""
     lows, highs = zip(*(record.bounds_m for record in records), strict=True)
     seconds = Seconds(**{stage: sum(getattr(r.seconds, stage) for r in records) for stage in Seconds.model_fields})
@@ -110,7 +145,7 @@ def _joined(folders: Sequence[Path], records: Sequence[ReconstructionRecord], ou
         "frames_per_second_with_decoding": frames / (fusing + seconds.waiting),
         "metrics": None,
         "depth_max_m": farthest if math.isfinite(farthest) else None,
-        "config": {"merged": [record.config for record in records]},
+        "config": {"merged": [record.config for record in records]} | _meshed_by(config),
         "versions": installed_versions(),
     }
     return records[0].model_copy(update=changed)
@@ -128,10 +163,11 @@ def _require_disjoint(folders: Sequence[Path], records: Sequence[ReconstructionR
                 f"{folder}: of the dataset {dataset}, and {folders[0]} of {datasets[0]}; "
                 "only reconstructions of one dataset are merged, since their poses must be in one world frame"
             )
-        for option, value in _fused_with(record).items():
-            if value != _fused_with(records[0])[option]:
+        ours, first = _fused_with(folder, record), _fused_with(folders[0], records[0])
+        for option, value in ours.items():
+            if value != first[option]:
                 raise InputError(
-                    f"{folder}: fused with {option} {value}, and {folders[0]} with {_fused_with(records[0])[option]}; "
+                    f"{folder}: fused with {option} {value}, and {folders[0]} with {first[option]}; "
                     "only what was fused alike adds up"
                 )
         if record.voxel_size_m != records[0].voxel_size_m or record.truncation_m != records[0].truncation_m:
@@ -139,7 +175,7 @@ def _require_disjoint(folders: Sequence[Path], records: Sequence[ReconstructionR
                 f"{folder}: voxels of {record.voxel_size_m:g} m with a truncation of {record.truncation_m:g} m, and "
                 f"{folders[0]} {records[0].voxel_size_m:g} and {records[0].truncation_m:g} m; only equal ones fit"
             )
-        if _fused_with(record)["weight_cap"] is not None:
+        if ours["weight_cap"] is not None:
             raise InputError(f"{folder}: its weights are capped, so they do not add up; fuse without --weight-cap")
         for frame in record.trajectory:
             if frame.frame in fused_in:
@@ -150,13 +186,14 @@ def _require_disjoint(folders: Sequence[Path], records: Sequence[ReconstructionR
             fused_in[frame.frame] = folder
 
 
-def _fused_with(record: ReconstructionRecord) -> dict[str, Any]:
-    """Return how a reconstruction's frames were weighed; of a merged one, how all of its parts were."""
-    config = record.config
-    while "merged" in config:
-        config = config["merged"][0]
-    defaults = asdict(ReconstructionConfig())
-    return {"min_weight": config.get("min_weight", 0.0)} | (config.get("integration") or defaults["integration"])
+def _fused_with(folder: Path, record: ReconstructionRecord) -> dict[str, Any]:
+    """Return which depth a reconstruction's frames had, and how they were weighed; of a merged one its parts'."""
+    config = recorded_config(folder, record)
+    return {"min_weight": config.min_weight, "depth_layer": config.depth_layer} | asdict(config.integration)
+
+
+def _meshed_by(config: ReconstructionConfig) -> dict[str, Any]:
+    return {"mesher": config.mesher, "oracle": config.oracle}
 
 
 def _require_new(out: Path, folders: Sequence[Path]) -> None:
@@ -166,8 +203,15 @@ def _require_new(out: Path, folders: Sequence[Path]) -> None:
     require_writable(out)
 
 
-def _mesh(volume: Volume, record: ReconstructionRecord, found: str) -> Mesh:
-    mesh = marching_cubes(volume, min_weight=_fused_with(record)["min_weight"])
+def _mesh(
+    volume: Volume,
+    folder: Path,
+    record: ReconstructionRecord,
+    config: ReconstructionConfig,
+    found: str,
+    progress: ProgressReporter,
+) -> Mesh:
+    mesh = mesh_again(volume, folder, record, config, progress=progress)
     if len(mesh.triangles) == 0:
         raise InputError(f"{found}, but no surface; nothing was written")
     return mesh

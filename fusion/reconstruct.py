@@ -14,11 +14,11 @@ from datagen.frame_selection import select_frames
 from datagen.progress import ProgressReporter, silent
 from fusion.devices import Device, load_kernels, resolve_device
 from fusion.evaluation.evaluate import Observers, evaluate
-from fusion.frames.frame_batch import FrameUploader
 from fusion.frames.frame_source import FrameSource
 from fusion.frames.survey import SceneSurvey, combine
 from fusion.integration.fuse import Fused, batch_size, fuse
 from fusion.integration.fuse_batch import load_fusion_kernels
+from fusion.meshing import mesh_fused
 from fusion.reconstruction_config import Lengths, ReconstructionConfig, choose_lengths
 from fusion.reconstruction_files import (
     MESH_FILE,
@@ -34,12 +34,9 @@ from fusion.reconstruction_files import (
     write_record,
 )
 from fusion.stopwatch import Stopwatch
-from fusion.surface.dual_contouring.depth_oracle import DepthField
-from fusion.surface.dual_contouring.dual_contouring import oracle_kernels
-from fusion.surface.dual_contouring.oracle import Oracle
 from fusion.surface.mesh import Mesh
 from fusion.surface.mesh_files import read_mesh, write_mesh
-from fusion.surface.meshers import KERNEL_MODULES, mesh_volume
+from fusion.surface.meshers import KERNEL_MODULES
 from fusion.volume.tsdf_volume import Volume
 from fusion.volume.volume_file import save_volume
 from fusion.volume.voxel_counts import count_observed
@@ -111,40 +108,13 @@ def _survey(source: FrameSource, progress: ProgressReporter) -> SceneSurvey:
 def _mesh(
     volume: Volume, source: FrameSource, config: ReconstructionConfig, clock: Stopwatch, progress: ProgressReporter
 ) -> Mesh:
-    oracle = None
-    if config.mesher == "dual-contouring" and config.oracle == "depth":
-        oracle = _depth_oracle(volume, source, config, clock, progress)
-        load_kernels((), oracle_kernels(oracle), device=volume.device, progress=progress)
-    advance = progress("mesh", 1)
-    with clock("mesh"):
-        mesh = mesh_volume(volume, config.mesher, oracle=oracle, min_weight=config.min_weight)
-    advance()
+    mesh = mesh_fused(volume, source, config, clock=clock, progress=progress)
     if len(mesh.triangles) == 0:
         raise InputError(
             f"{source.dataset.folder}: the frames make no surface at a voxel size of {volume.voxel_size:g} m; "
             "try a smaller --voxel-size or --min-weight, and check the depth with datagen info"
         )
     return mesh
-
-
-def _depth_oracle(
-    volume: Volume, source: FrameSource, config: ReconstructionConfig, clock: Stopwatch, progress: ProgressReporter
-) -> Oracle:
-    """Decode the depth of all frames once more, for dual contouring to ask."""
-    field = DepthField(volume, config.integration, frames=len(source.frame_ids))
-    upload = FrameUploader(
-        source.dataset.camera,
-        device=volume.device,
-        capacity=source.batch_size,
-        depth_scale=source.dataset.depth_scale,
-    )
-    advance = progress("depth", len(source.frame_ids))
-    for frames in source.depth_batches():
-        with clock("mesh"):
-            field.add(upload(frames.depths, frames.poses))
-        for _ in frames.frame_ids:
-            advance()
-    return field.oracle()
 
 
 def _evaluate(

@@ -3,9 +3,10 @@
 import argparse
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from fusion.reconstruction_files import ReconstructionRecord
+from fusion.surface.meshers import Mesher, OracleName
 
 
 def add_frames(command: argparse.ArgumentParser) -> None:
@@ -27,6 +28,17 @@ def add_depth_layer(command: argparse.ArgumentParser) -> None:
 def add_reconstruction(command: argparse.ArgumentParser) -> None:
     """Add the folder of a reconstruction."""
     command.add_argument("reconstruction", type=Path, help="a folder that fusion reconstruct wrote")
+
+
+def add_remeshing(command: argparse.ArgumentParser) -> None:
+    """Add ``--mesher`` and ``--oracle`` to a command that meshes what was meshed before."""
+    same = "as it was meshed before if not given"
+    command.add_argument("--mesher", choices=get_args(Mesher), help=f"marching cubes or dual contouring; {same}")
+    command.add_argument(
+        "--oracle",
+        choices=get_args(OracleName),
+        help=f"what dual contouring goes by: the volume, or its dataset's depth images; {same}",
+    )
 
 
 def add_device(command: argparse.ArgumentParser) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from datagen.progress import on_terminal
-from fusion.commands.arguments import add_device, add_json, add_reconstruction, print_record
+from fusion.commands.arguments import add_device, add_json, add_reconstruction, add_remeshing, print_record
 from fusion.edit_reconstruction import crop_reconstruction
 
 
@@ -19,6 +19,7 @@ def add_command(commands: Any) -> None:
     for option in ("--low", "--high"):
         text = "a corner of the box, metres; _ for no bound along an axis, as in --low _ _ 0.05"
         command.add_argument(option, type=_bound, nargs=3, default=[None] * 3, metavar=("X", "Y", "Z"), help=text)
+    add_remeshing(command)
     add_device(command)
     add_json(command)
     command.set_defaults(run=_run)
@@ -31,7 +32,14 @@ def _run(options: argparse.Namespace) -> None:
     high = [math.inf if value is None else value for value in options.high]
     with on_terminal() as progress:
         record = crop_reconstruction(
-            options.reconstruction, options.out, low=low, high=high, device=options.device, progress=progress
+            options.reconstruction,
+            options.out,
+            low=low,
+            high=high,
+            mesher=options.mesher,
+            oracle=options.oracle,
+            device=options.device,
+            progress=progress,
         )
     print_record(options, record)
 

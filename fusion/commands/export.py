@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from datagen.progress import on_terminal
-from fusion.commands.arguments import add_device, add_json, add_reconstruction, print_result
+from fusion.commands.arguments import add_device, add_json, add_reconstruction, add_remeshing, print_result
 from fusion.export import export
 
 
@@ -15,7 +15,10 @@ def add_command(commands: Any) -> None:
     add_reconstruction(command)
     command.add_argument("out", type=Path, help="a file whose name ends in .ply or .vdb")
     command.add_argument("--points", action="store_true", help="points, not a mesh (.ply)")
-    command.add_argument("--min-weight", type=float, default=0.0, metavar="W", help="only where more was seen (.ply)")
+    command.add_argument(
+        "--min-weight", type=float, metavar="W", help="only where more was seen (.ply); as it was meshed if not given"
+    )
+    add_remeshing(command)
     add_device(command)
     add_json(command)
     command.set_defaults(run=_run)
@@ -28,6 +31,8 @@ def _run(options: argparse.Namespace) -> None:
             options.out,
             points=options.points,
             min_weight=options.min_weight,
+            mesher=options.mesher,
+            oracle=options.oracle,
             device=options.device,
             progress=progress,
         )

@@ -22,9 +22,11 @@ KERNEL_MODULES: dict[Mesher, tuple[str, ...]] = {
 }
 
 
-def mesh_volume(volume: Volume, mesher: Mesher, *, oracle: Oracle | None = None, min_weight: float = 0.0) -> Mesh:
+def mesh_volume(
+    volume: Volume, mesher: Mesher, *, oracle: Oracle | None = None, min_weight: float = 0.0, normals: bool = False
+) -> Mesh:
     """Return a volume's surface as a mesh; ``oracle`` is dual contouring's, None for the volume itself."""
     if mesher == "dual-contouring":
-        return dual_contouring(volume, oracle=oracle, min_weight=min_weight)
+        return dual_contouring(volume, oracle=oracle, min_weight=min_weight, normals=normals)
     assert oracle is None, "marching cubes asks the volume alone"
-    return marching_cubes(volume, min_weight=min_weight)
+    return marching_cubes(volume, min_weight=min_weight, normals=normals)

@@ -1,4 +1,4 @@
-"""The surface as points: where it crosses the edges between voxels, with normals and colours."""
+"""The surface as points, with normals and colours: a mesh's vertices."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.atomic_write import write_bytes
-from fusion.surface.marching_cubes import marching_cubes
-from fusion.volume.tsdf_volume import Volume
+from fusion.surface.mesh import Mesh
 
 _PLY_TYPES = {"<f4": "float", "u1": "uchar"}
 _PLY_PROPERTIES = dict.fromkeys(("x", "y", "z", "nx", "ny", "nz"), "<f4") | dict.fromkeys(
@@ -29,12 +28,8 @@ class PointCloud:
     colors: NDArray[np.uint8]
 
 
-def surface_points(volume: Volume, *, min_weight: float = 0.0) -> PointCloud:
-    """Return the points where the surface crosses the edges between voxels: the vertices of marching cubes.
-
-    Normals are the field's gradient. A voxel counts as seen where its weight is over ``min_weight``.
-    """
-    mesh = marching_cubes(volume, min_weight=min_weight, normals=True)
+def points_of(mesh: Mesh) -> PointCloud:
+    """Return the vertices of a mesh that has normals and colours."""
     assert mesh.normals is not None
     assert mesh.colors is not None
     return PointCloud(points=mesh.vertices, normals=mesh.normals, colors=mesh.colors)

@@ -149,11 +149,12 @@ def test_bad_exports_are_refused(capsys, base, tmp_path):
     for name, message, *more in (
         ("out.obj", "ends in .ply"),
         ("out.vdb", "are for .ply", "--points"),
+        ("out.vdb", "are for .ply", "--mesher", "dual-contouring"),
         ("out.ply", "no surface where weights are over 1000", "--min-weight", 1000),
-        ("out.ply", "--min-weight nan: expected a number from 0 on", "--min-weight", "nan"),
+        ("out.ply", "--min-weight nan: expected 0 or more", "--min-weight", "nan"),
     ):
         refused(capsys, tmp_path / name, message, "export", base / "all", tmp_path / name, *more)
-    refused(capsys, tmp_path / "a.ply", "volume.npz: the file is missing", "export", tmp_path, tmp_path / "a.ply")
+    refused(capsys, tmp_path / "a.ply", "reconstruction.json: cannot be read", "export", tmp_path, tmp_path / "a.ply")
 
 
 def test_bad_crops_are_refused(capsys, base, tmp_path):

@@ -3,7 +3,8 @@ import pytest
 import trimesh
 from analytic_volume import analytic_volume, sphere
 
-from fusion.surface.surface_points import PointCloud, surface_points, write_points
+from fusion.surface.marching_cubes import marching_cubes
+from fusion.surface.surface_points import PointCloud, points_of, write_points
 from fusion.volume.tsdf_volume import Volume
 
 CENTRE, RADIUS = np.array([0.05, 0.02, -0.03]), 0.4
@@ -21,7 +22,7 @@ def test_points_lie_on_the_surface_with_its_normals_and_colours(device, storage)
         storage=storage,
         color=lambda points: np.where(points[:, :1] > CENTRE[0], (200.0, 40.0, 20.0), (20.0, 40.0, 200.0)),
     )
-    cloud = surface_points(volume)
+    cloud = points_of(marching_cubes(volume, normals=True))
     radial = (cloud.points - CENTRE) / RADIUS
     np.testing.assert_allclose(np.linalg.norm(radial, axis=-1), 1, atol=1e-3)
     np.testing.assert_allclose(cloud.normals, radial, atol=0.05)
@@ -33,7 +34,8 @@ def test_points_lie_on_the_surface_with_its_normals_and_colours(device, storage)
 
 
 def test_an_empty_volume_has_no_points(device):
-    cloud = surface_points(Volume(voxel_size=0.1, truncation=0.3, device=device, max_blocks=10))
+    volume = Volume(voxel_size=0.1, truncation=0.3, device=device, max_blocks=10)
+    cloud = points_of(marching_cubes(volume, normals=True))
     assert cloud.points.shape == cloud.normals.shape == cloud.colors.shape == (0, 3)
 
 

@@ -1,0 +1,127 @@
+"""A volume becomes a mesh: from the frames that were just fused, or again from what a reconstruction left on disk."""
+
+from dataclasses import fields
+from pathlib import Path
+
+from datagen.errors import InputError
+from datagen.open_dataset import open_dataset
+from datagen.progress import ProgressReporter, silent
+from fusion.devices import load_kernels
+from fusion.frames.frame_batch import FrameUploader
+from fusion.frames.frame_source import FrameSource
+from fusion.integration.fuse import batch_size
+from fusion.integration.options import Integration
+from fusion.reconstruction_config import ReconstructionConfig
+from fusion.reconstruction_files import RECORD_FILE, ReconstructionRecord
+from fusion.stopwatch import Stopwatch
+from fusion.surface.dual_contouring.depth_oracle import DepthField
+from fusion.surface.dual_contouring.dual_contouring import oracle_kernels
+from fusion.surface.dual_contouring.oracle import Oracle
+from fusion.surface.mesh import Mesh
+from fusion.surface.meshers import KERNEL_MODULES, Mesher, OracleName, mesh_volume
+from fusion.volume.tsdf_volume import Volume
+
+
+def asks_depth(config: ReconstructionConfig) -> bool:
+    """Return whether meshing looks at the depth images once more."""
+    return config.mesher == "dual-contouring" and config.oracle == "depth"
+
+
+def mesh_fused(
+    volume: Volume,
+    source: FrameSource,
+    config: ReconstructionConfig,
+    *,
+    clock: Stopwatch,
+    normals: bool = False,
+    progress: ProgressReporter = silent,
+) -> Mesh:
+    """Mesh a volume as ``config`` says, which may ask the depth of ``source``, the frames that were fused into it.
+
+    ``clock`` counts the time to ``mesh``; kernels are loaded before (``KERNEL_MODULES``), but those made for the depth
+    images. The mesh is empty where there is no surface.
+    """
+    oracle = None
+    if asks_depth(config):
+        oracle = _depth_oracle(volume, source, config, clock, progress)
+        load_kernels((), oracle_kernels(oracle), device=volume.device, progress=progress)
+    advance = progress("mesh", 1)
+    with clock("mesh"):
+        mesh = mesh_volume(volume, config.mesher, oracle=oracle, min_weight=config.min_weight, normals=normals)
+    advance()
+    return mesh
+
+
+def mesh_again(
+    volume: Volume,
+    folder: Path,
+    record: ReconstructionRecord,
+    config: ReconstructionConfig,
+    *,
+    normals: bool = False,
+    progress: ProgressReporter = silent,
+) -> Mesh:
+    """Mesh a volume, fused from what ``record`` says, as ``config`` says; ``record.dataset`` is seen from ``folder``.
+
+    Raises InputError where the depth images are to be asked and their dataset is not there any more.
+    """
+    modules = (*KERNEL_MODULES[config.mesher], *(("fusion.surface.vertex_normals",) if normals else ()))
+    load_kernels(modules, device=volume.device, progress=progress)
+    if not asks_depth(config):
+        return mesh_volume(volume, config.mesher, min_weight=config.min_weight, normals=normals)
+    path = (folder / record.dataset).resolve()
+    if not path.is_dir():
+        raise InputError(
+            f"{folder}: its mesh goes by the depth images of {path}, which is not there; "
+            "give --oracle volume, or --mesher marching-cubes"
+        )
+    dataset = open_dataset(path)
+    if config.depth_layer is not None:
+        dataset = dataset.with_depth_layer(config.depth_layer)
+    frames = tuple(fused.frame for fused in record.trajectory)
+    size, clock = batch_size(volume.device), Stopwatch(volume.device)
+    with FrameSource(dataset, frames, depth_max=record.depth_max_m, batch_size=size) as source:
+        return mesh_fused(volume, source, config, clock=clock, normals=normals, progress=progress)
+
+
+def recorded_config(
+    folder: Path, record: ReconstructionRecord, *, mesher: Mesher | None = None, oracle: OracleName | None = None
+) -> ReconstructionConfig:
+    """Return how the reconstruction in ``folder`` was fused and meshed; of a merged one its parts were fused alike.
+
+    ``mesher`` and ``oracle`` take the place of the recorded ones. Raises InputError for a record that does not tell.
+    """
+    fused = record.config
+    while fused.get("merged"):
+        fused = fused["merged"][0]
+    values = {field.name: fused[field.name] for field in fields(ReconstructionConfig) if field.name in fused}
+    # A record without a mesher was written when there were marching cubes alone.
+    values["mesher"] = mesher or record.config.get("mesher", "marching-cubes")
+    if oracle or "oracle" in record.config:
+        values["oracle"] = oracle or record.config["oracle"]
+    try:
+        if values.get("integration") is not None:
+            values["integration"] = Integration(**values["integration"])
+        return ReconstructionConfig(**values)
+    except (TypeError, InputError) as error:
+        raise InputError(f"{folder / RECORD_FILE}: config: {error}") from error
+
+
+def _depth_oracle(
+    volume: Volume, source: FrameSource, config: ReconstructionConfig, clock: Stopwatch, progress: ProgressReporter
+) -> Oracle:
+    """Decode the depth of all frames once more, for dual contouring to ask."""
+    field = DepthField(volume, config.integration, frames=len(source.frame_ids))
+    upload = FrameUploader(
+        source.dataset.camera,
+        device=volume.device,
+        capacity=source.batch_size,
+        depth_scale=source.dataset.depth_scale,
+    )
+    advance = progress("depth", len(source.frame_ids))
+    for frames in source.depth_batches():
+        with clock("mesh"):
+            field.add(upload(frames.depths, frames.poses))
+        for _ in frames.frame_ids:
+            advance()
+    return field.oracle()
