@@ -1,21 +1,19 @@
-"""The Blender extension: brings reconstruction folders into the scene.
+"""The Blender extension: scan, fuse, locate and compare from a panel, and bring the results into the scene.
 
-It knows the pipeline only through the files that it wrote, so the extension runs where nothing but Blender is
-installed. Importing this package does not load ``bpy``; ``register`` does.
+It knows the pipeline only through its command lines and its files: long work runs in processes of its own, so that
+Blender's interface never waits. Importing this package does not load ``bpy``; ``register`` does.
 """
 
 
 def register() -> None:
-    """Add the operators, the menu entry and the panel to Blender."""
-    from . import operators, panel  # noqa: PLC0415 - they need bpy, the file readers beside them do not
+    """Add all that the extension has to Blender."""
+    from . import registration  # noqa: PLC0415 - it needs bpy, the file readers beside it do not
 
-    operators.register()
-    panel.register()
+    registration.register()
 
 
 def unregister() -> None:
-    """Take away all that ``register`` added, in the opposite order."""
-    from . import operators, panel  # noqa: PLC0415
+    """End what runs, and take away all that ``register`` added."""
+    from . import registration  # noqa: PLC0415
 
-    panel.unregister()
-    operators.unregister()
+    registration.unregister()

@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from blender_addon.files.reconstruction_files import Reconstruction
 from blender_addon.headless.overview_camera import overview_direction
-from blender_addon.reconstruction_files import Reconstruction
 from datagen.errors import InputError
 from datagen.images import write_color
 from datagen.open_dataset import open_dataset

@@ -9,16 +9,16 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from blender_addon.camera_conversion import blender_pose, set_intrinsics, set_render_size
+from blender_addon.files.reconstruction_files import Intrinsics, Reconstruction, read_reconstruction
 from blender_addon.headless.comparison import Original, choose_original, write_side_by_side
 from blender_addon.headless.overview_camera import FieldOfView, overview_pose, without_strays
 from blender_addon.headless.quiet_stdout import quiet_stdout
 from blender_addon.headless.render_still import render_png, set_up_presentation
 from blender_addon.headless.save_blend import save_blend
-from blender_addon.import_reconstruction import import_reconstruction
-from blender_addon.pose_markers import CLIP_END_M, CLIP_START_M
-from blender_addon.reconstruction_files import Intrinsics, Reconstruction, read_reconstruction
-from blender_addon.scene_collection import MESH_PART, PART_KEY
+from blender_addon.results.camera_conversion import blender_pose, set_intrinsics, set_render_size
+from blender_addon.results.import_reconstruction import import_reconstruction
+from blender_addon.results.pose_markers import CLIP_END_M, CLIP_START_M
+from blender_addon.results.scene_collection import MESH_PART, PART_KEY
 from datagen.errors import InputError
 from datagen.images import read_color
 from datagen.progress import ProgressReporter, silent

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import bpy
 
-from blender_addon.scene_collection import FOLDER_KEY
+from blender_addon.results.scene_collection import FOLDER_KEY
 from datagen.atomic_write import replacing
 from datagen.errors import InputError
 

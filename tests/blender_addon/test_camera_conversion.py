@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mathutils import Vector
 
-from blender_addon.camera_conversion import blender_pose, set_intrinsics, set_render_size
-from blender_addon.reconstruction_files import Intrinsics
+from blender_addon.files.reconstruction_files import Intrinsics
+from blender_addon.results.camera_conversion import blender_pose, set_intrinsics, set_render_size
 from datagen.camera import PinholeCamera
 from datagen.rigid import inverse, look_at, transform_points
 

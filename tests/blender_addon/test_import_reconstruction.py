@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from blender_addon.errors import ReconstructionError
-from blender_addon.import_reconstruction import LOCATED_COLLECTION, import_reconstruction
+from blender_addon.results.import_reconstruction import LOCATED_COLLECTION, import_reconstruction
 from datagen.rigid import inverse, transform_points
 
 KINDS = ("objects", "meshes", "curves", "cameras", "materials", "collections")

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from blender_addon.mesh_import import COLOR_ATTRIBUTE, create_mesh_object
-from blender_addon.ply_mesh import ColoredMesh
+from blender_addon.files.ply_mesh import ColoredMesh
+from blender_addon.results.mesh_import import COLOR_ATTRIBUTE, create_mesh_object
 
 
 def _mesh(subdivisions: int) -> ColoredMesh:

@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 from blender_addon.errors import ReconstructionError
-from blender_addon.ply_mesh import read_colored_mesh
+from blender_addon.files.ply_mesh import read_colored_mesh
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from blender_addon.headless.render_still import render_png, set_up_presentation
-from blender_addon.import_reconstruction import LOCATED_COLLECTION, import_reconstruction
+from blender_addon.results.import_reconstruction import LOCATED_COLLECTION, import_reconstruction
 
 
 def test_a_marker_looks_out_of_its_own_frustum_and_the_path_freely(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from blender_addon.errors import ReconstructionError
-from blender_addon.reconstruction_files import read_reconstruction
+from blender_addon.files.reconstruction_files import read_reconstruction
 
 SCALED = np.diag([1.1, 1.1, 1.1, 1]).tolist()
 MIRRORED = np.diag([-1.0, 1, 1, 1]).tolist()

@@ -5,8 +5,8 @@ from typing import Any
 
 import bpy
 
-from .errors import ReconstructionError
-from .import_reconstruction import import_reconstruction
+from ..errors import ReconstructionError
+from ..results.import_reconstruction import import_reconstruction
 
 
 class SCANBACK_OT_import_reconstruction(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801 - Blender's naming

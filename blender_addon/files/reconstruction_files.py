@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import ReconstructionError
+from ..errors import ReconstructionError
 from .json_values import JsonValue, read_json
 from .ply_mesh import ColoredMesh, read_colored_mesh
 

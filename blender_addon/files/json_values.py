@@ -10,7 +10,7 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import ReconstructionError
+from ..errors import ReconstructionError
 
 RIGID_TOLERANCE = 1e-3
 """Largest entry of RᵀR − I that is taken for rounding."""

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import bpy
 import numpy as np
 
+from ..files.reconstruction_files import FusedFrame
 from .emission_material import colored_wire
-from .reconstruction_files import FusedFrame
 from .wire_curve import create_wire
 
 PATH_COLOR_LINEAR = (0.01, 0.16, 0.55)

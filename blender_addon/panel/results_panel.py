@@ -4,7 +4,7 @@ from typing import Any
 
 import bpy
 
-from .operators import SCANBACK_OT_import_reconstruction
+from ..operators.import_files import SCANBACK_OT_import_reconstruction
 
 
 class SCANBACK_PT_reconstruction(bpy.types.Panel):  # type: ignore[misc]  # noqa: N801 - Blender's naming

@@ -10,7 +10,7 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
-from .reconstruction_files import Intrinsics, Pose
+from ..files.reconstruction_files import Intrinsics, Pose
 
 SENSOR_WIDTH_MM = 36.0
 LENS_MIN_MM = 1.0

@@ -3,8 +3,8 @@
 import bpy
 import numpy as np
 
+from ..files.ply_mesh import ColoredMesh
 from .emission_material import colored_by_attribute
-from .ply_mesh import ColoredMesh
 
 COLOR_ATTRIBUTE = "Color"
 

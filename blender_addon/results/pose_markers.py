@@ -5,9 +5,9 @@ from collections.abc import Sequence
 import bpy
 import numpy as np
 
+from ..files.reconstruction_files import Intrinsics, LocatedFrame
 from .camera_conversion import CAMERA_OPENCV_FROM_BLENDER, blender_pose, set_intrinsics
 from .emission_material import colored_wire
-from .reconstruction_files import Intrinsics, LocatedFrame
 from .wire_curve import create_wire
 
 MARKER_COLOR_LINEAR = (0.9, 0.17, 0.0)

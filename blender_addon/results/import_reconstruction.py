@@ -4,11 +4,11 @@ from pathlib import Path
 
 import bpy
 
+from ..files.reconstruction_files import Reconstruction, read_reconstruction
 from .camera_conversion import set_render_size
 from .camera_path import create_path_object
 from .mesh_import import create_mesh_object
 from .pose_markers import create_markers
-from .reconstruction_files import Reconstruction, read_reconstruction
 from .scene_collection import MARKER_PART, MESH_PART, PATH_PART, add_part, empty_collection
 
 LOCATED_COLLECTION = "Located frames"

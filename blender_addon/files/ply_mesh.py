@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import ReconstructionError
+from ..errors import ReconstructionError
 
 _HEADER_END = re.compile(rb"^end_header\r?\n", re.MULTILINE)
 _REMEDY = "write it again with 'fusion reconstruct'"

@@ -1,0 +1,1 @@
+"""What the pipeline wrote, read without anything but numpy: reconstructions, datasets, meshes."""

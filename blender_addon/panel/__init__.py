@@ -1,0 +1,1 @@
+"""The tab 'Scanback' in the sidebar of the 3D Viewport."""
