@@ -10,19 +10,17 @@ returned. Texture plays no part.
 from dataclasses import dataclass
 
 import numpy as np
+import warp as wp
 from numpy.typing import NDArray
 
 from datagen.errors import InputError
-from datagen.rigid import Matrix, inverse
-from fusion.pose.view_index import ViewIndex, turn_between, view_patch
-from fusion.pose.view_registration import Query, register
+from datagen.rigid import Matrix, inverse, rigid
+from fusion.pose.view_index import ViewIndex, patch_differences, turn_between, view_patches
+from fusion.pose.view_registration import SmallQuery, register
 
 STARTS = 8
 APART_DEG = 12.0
 """Between views that are tried; nearer ones lead to the same alignment."""
-
-PATCH_CAP = 0.3
-"""In radii: patches differ by no more in a cell."""
 
 POINTS_AT_FIRST, POINTS_AT_LAST = 300, 1500
 ITERATIONS_AT_FIRST, ITERATIONS_AT_LAST = 10, 6
@@ -71,13 +69,14 @@ def find_nearest_pose(
     model. Distances between poses are those of ``pose_distances``. Raises InputError where the query has no valid
     depth, or the mask covers none.
     """
-    query = _query(index, depth, mask)
+    query = small_query(index, depth, mask)
     starts = _similar_views(index, query)
     first = register(
         index,
         starts,
-        _thinned(query, POINTS_AT_FIRST),
+        query,
         _on_line_of_sight(index, starts, query),
+        points=POINTS_AT_FIRST,
         iterations=ITERATIONS_AT_FIRST,
     )
     poses = index.world_from_camera[starts] @ first.view_from_query
@@ -87,7 +86,7 @@ def find_nearest_pose(
     nearest = np.argsort(distances, kind="stable")[:count]
     return NearestPose(
         indices=nearest,
-        scores=np.array([_mean_squared_difference(index, int(i), query) for i in nearest]),
+        scores=_mean_squared_differences(index, nearest, query),
         estimate=estimate,
         cost=cost,
         margin=_margin(poses, first.costs, best),
@@ -107,68 +106,73 @@ def pose_distances(world_from_camera: NDArray[np.float64], pose: Matrix, *, dept
     return np.hypot(angles, shifts / depth)
 
 
-def _query(index: ViewIndex, depth: NDArray[np.float32], mask: NDArray[np.bool_] | None) -> Query:
-    small = depth[:: index.step, :: index.step].astype(np.float64)
+def small_query(index: ViewIndex, depth: NDArray[np.float32], mask: NDArray[np.bool_] | None) -> SmallQuery:
+    """Return a query's depth, and its mask if it has one, (height, width), as small as the index's views.
+
+    Raises InputError where no pixel has a valid depth.
+    """
+    small = depth[:: index.step, :: index.step].astype(np.float32)
     known = np.ones(small.shape, bool)
     if mask is not None:
         known = mask[:: index.step, :: index.step]
-        small = np.where(known, small, 0)
+        small = np.where(known, small, np.float32(0))
     points = index.points(small)
     if len(points) == 0:
         where = "" if mask is None else " inside the mask"
         raise InputError(f"no pixel{where} has a valid depth, so there is no surface to compare")
-    return Query(depth=small, known=known, points=points, typical_depth=float(np.median(points[:, 2])))
+    return SmallQuery(
+        depth=small,
+        known=known,
+        points=points,
+        middle=np.median(points, axis=0),
+        points_there=wp.array(points.astype(np.float32), dtype=wp.vec3, device=index.device),
+        depth_there=wp.array(small, dtype=float, device=index.device),
+        known_there=wp.array(known.astype(np.uint8), dtype=wp.uint8, device=index.device),
+    )
 
 
-def _thinned(query: Query, count: int) -> Query:
-    step = max(len(query.points) // count, 1)
-    return Query(depth=query.depth, known=query.known, points=query.points[::step], typical_depth=query.typical_depth)
-
-
-def _similar_views(index: ViewIndex, query: Query) -> NDArray[np.int64]:
+def _similar_views(index: ViewIndex, query: SmallQuery) -> NDArray[np.int64]:
     """Return the views whose patches are most like the query's, each some way from the others."""
-    patch = view_patch(query.points, index.radius)
-    differences = np.minimum(np.abs(index.patches - patch), PATCH_CAP)
-    order = np.argsort(np.einsum("ij,ij->i", differences, differences), kind="stable")
+    image = query.depth_there.reshape((1, *query.depth.shape))
+    patch = view_patches(index, image, query.middle[None], bands=query.depth.shape[0] if index.device.is_cuda else 1)
+    order = np.argsort(patch_differences(index, patch), kind="stable")
     chosen: list[int] = []
     left = np.ones(len(order), bool)
-    forward = index.world_from_camera[:, :3, :3]
+    turns = index.world_from_camera[:, :3, :3]
     for view in order:
         if left[view]:
             chosen.append(int(view))
-            traces = np.einsum("nij,ij->n", forward, forward[view])
-            left &= traces < 1 + 2 * np.cos(np.radians(APART_DEG))
+            left &= np.einsum("nij,ij->n", turns, turns[view]) < 1 + 2 * np.cos(np.radians(APART_DEG))
             if len(chosen) == STARTS:
                 break
     return np.array(chosen)
 
 
-def _on_line_of_sight(index: ViewIndex, views: NDArray[np.int64], query: Query) -> NDArray[np.float64]:
+def _on_line_of_sight(index: ViewIndex, views: NDArray[np.int64], query: SmallQuery) -> NDArray[np.float64]:
     """Return first guesses of view_from_query (k, 4, 4): the middles of both surfaces, and the lines to them, agree."""
     guesses = np.tile(np.eye(4), (len(views), 1, 1))
-    ours = np.median(query.points, axis=0)
-    for guess, view in zip(guesses, views, strict=True):
-        cloud = index.points(index.depth[view])
-        if len(cloud):
-            theirs = np.median(cloud, axis=0)
-            guess[:3, :3] = turn_between(ours, theirs)
-            guess[:3, 3] = theirs - guess[:3, :3] @ ours
+    for guess, theirs in zip(guesses, index.middles[views], strict=True):
+        if theirs.any():
+            guess[:3, :3] = turn_between(query.middle, theirs)
+            guess[:3, 3] = theirs - guess[:3, :3] @ query.middle
     return guesses
 
 
-def _polish(index: ViewIndex, query: Query, pose: Matrix) -> tuple[Matrix, float]:
+def _polish(index: ViewIndex, query: SmallQuery, pose: Matrix) -> tuple[Matrix, float]:
     """Align again with the view that is nearest now; returns world_from_camera and the cost."""
     view = int(pose_distances(index.world_from_camera, pose, depth=query.typical_depth).argmin())
     world_from_view = index.world_from_camera[view]
     aligned = register(
         index,
         np.array([view]),
-        _thinned(query, POINTS_AT_LAST),
+        query,
         (inverse(world_from_view) @ pose)[None],
+        points=POINTS_AT_LAST,
         iterations=ITERATIONS_AT_LAST,
         widest_gate=GATE_AT_LAST,
     )
-    return world_from_view @ aligned.view_from_query[0], float(aligned.costs[0])
+    pose = rigid(world_from_view @ aligned.view_from_query[0], source="alignment with the nearest view")
+    return pose, float(aligned.costs[0])
 
 
 def _margin(poses: NDArray[np.float64], costs: NDArray[np.float64], best: int) -> float:
@@ -180,11 +184,14 @@ def _margin(poses: NDArray[np.float64], costs: NDArray[np.float64], best: int) -
     return float(costs[elsewhere].min() / max(costs[best], 1e-9) - 1)
 
 
-def _mean_squared_difference(index: ViewIndex, view: int, query: Query) -> float:
-    """Return the mean squared difference in depth, m², over the pixels where query or model have a surface."""
+def _mean_squared_differences(index: ViewIndex, views: NDArray[np.int64], query: SmallQuery) -> NDArray[np.float64]:
+    """Return the mean squared differences in depth (k,), m², over the pixels where query or model have a surface."""
     largest = LARGEST_DIFFERENCE * query.typical_depth
-    ours, theirs = query.depth, index.depth[view]
-    either = query.known & ((ours > 0) | (theirs > 0))
-    both = (ours > 0) & (theirs > 0)
-    difference = np.where(both, np.minimum(np.abs(ours - theirs), largest), largest)
-    return float((difference[either] ** 2).mean())
+    ours, scores = query.depth, []
+    for view in views:
+        theirs = index.depth[int(view)].numpy()
+        either = query.known & ((ours > 0) | (theirs > 0))
+        both = (ours > 0) & (theirs > 0)
+        difference = np.where(both, np.minimum(np.abs(ours - theirs), largest), largest)
+        scores.append(float((difference[either].astype(np.float64) ** 2).mean()))
+    return np.array(scores)

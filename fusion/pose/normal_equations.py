@@ -29,7 +29,7 @@ INLIER_SIGMAS = 3.5
 SUMS = 33
 """Numbers of a run: 21 of JᵀWJ, 6 of JᵀWr, then cost, points with a field, inliers, Σw, Σw r², 1 for each point."""
 
-_Sums: Any = wp.types.vector(length=SUMS, dtype=float)
+Sums: Any = wp.types.vector(length=SUMS, dtype=float)
 
 _NO_FIELD = wp.constant(0)
 _FROM_GRID = wp.constant(2)
@@ -57,7 +57,7 @@ def robust_cost(r: float, scale: float, kind: int) -> float:
 
 
 @wp.func
-def add_residual(sums: _Sums, r: float, weight: float, normal: wp.vec3, arm: wp.vec3) -> _Sums:
+def add_residual(sums: Sums, r: float, weight: float, normal: wp.vec3, arm: wp.vec3) -> Sums:
     """Add one residual, with the Jacobian [n, arm × n], to the upper triangle of JᵀWJ and to JᵀWr."""
     turn = wp.cross(arm, normal)
     j = wp.spatial_vector(normal, turn)
@@ -106,7 +106,7 @@ def _accumulate(
     rotation = rotations[pose]
     eye = translations[pose]
     scale = scales[pose]
-    total = _Sums()
+    total = Sums()
     for i in range(run * _RUN, wp.min(run * _RUN + _RUN, count)):
         ray = rotation * points[i]
         point = ray + eye

@@ -1,180 +1,381 @@
 """A query's depth aligned with small views of the model, from several of them at once.
 
 Points are associated by projection and the distances to the model's tangent planes minimised (Blais and Levine 1995;
-Chen and Medioni 1992) by Gauss–Newton with Huber weights. All starts go through the same array operations: with some
-hundred points each, calls are what costs.
+Chen and Medioni 1992) by Gauss–Newton with Huber weights. An iteration is two launches for all starts: one sums over
+runs of points, one solves; nothing is waited for between them.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import warp as wp
 from numpy.typing import NDArray
 
-from datagen.rigid import Matrix, inverse
-from fusion.pose.view_index import ViewIndex, cross
+from fusion.devices import launch_in_slabs
+from fusion.pose.normal_equations import SUMS, Sums, add_residual
+from fusion.pose.view_index import ViewIndex
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 GATES = (0.3, 0.02)
 """Between a point and the model along the optical axis, in the query's depth: the first iteration's, and the least."""
 GATE_SHRINKAGE = 0.7
 LARGEST_DIFFERENCE = 0.02
 """In the query's depth: what lies farther apart, or has no counterpart, disagrees, and counts as much."""
-HUBER = 2.0
-FEWEST_POINTS = 20
-DAMPING = 1e-6
-SMALLEST_STEP, LARGEST_STEP = 2e-4, 0.15
+
+Sums64: Any = wp.types.vector(length=SUMS, dtype=wp.float64)
+
+_RUN = 32
+"""Points a thread."""
+_LEAST_SLAB = 256
+"""Threads that are not worth being shared among cores: that costs as much as some thousand points do."""
+_HUBER = wp.constant(2.0)
+_FEWEST_POINTS = wp.constant(20.0)
+_DAMPING = wp.constant(wp.float64(1e-6))
+_LARGEST_STEP = wp.constant(wp.float64(0.15))
 """Of a rotation in radians, of a translation in the query's depth."""
+_DEPTH_EDGE = wp.constant(0.06)
+"""Pixels two apart whose depths differ by more than this share of them are not of one surface."""
+_ROW_STEP = 2
+"""Of the model's pixels that are looked for in the query, every second of every second row."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Query:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SmallQuery:
     """A query as small as the index's views: ``depth`` (height, width) planar metres, 0 where there is no surface.
 
     ``known`` (height, width) is False where the query says nothing: outside a mask, where something else may stand
-    before the model. ``points`` (m, 3) are those to align, in the query's frame; ``typical_depth`` is their median.
+    before the model. ``points`` (m, 3) are those to align, in the query's frame, ``middle`` (3,) their median, and
+    ``typical_depth`` its depth. ``points_there``, ``depth_there`` and ``known_there`` are the same on the index's
+    device.
     """
 
-    depth: NDArray[np.float64]
+    depth: NDArray[np.float32]
     known: NDArray[np.bool_]
     points: NDArray[np.float64]
-    typical_depth: float
+    middle: NDArray[np.float64]
+    points_there: wp.array
+    depth_there: wp.array
+    known_there: wp.array
+
+    @property
+    def typical_depth(self) -> float:
+        """How far away the surface is, metres."""
+        return float(self.middle[2])
 
 
 @dataclass(frozen=True, kw_only=True)
 class Registrations:
-    """For k views: ``view_from_query`` (k, 4, 4), and ``costs`` (k,) from 0, all agrees, to 1, nothing does."""
+    """For k views: ``view_from_query`` (k, 4, 4), and ``costs`` (k,) from 0, all agrees, to 1, nothing does.
+
+    The transforms are rigid to a float32's rounding.
+    """
 
     view_from_query: NDArray[np.float64]
     costs: NDArray[np.float64]
 
 
+@wp.struct
+class Views:
+    """Depth images (n, height, width) of the model, metres, and their camera."""
+
+    depth: wp.array3d(dtype=float)
+    intrinsics: wp.vec4
+
+
+@wp.struct
+class Facet:
+    """The model's surface at a pixel: a point, its unit normal, and whether there is one."""
+
+    point: wp.vec3
+    normal: wp.vec3
+    known: bool
+
+
+@wp.func
+def pixel_at(views: Views, point: wp.vec3) -> wp.vec2i:
+    """Return the row and column nearest to where a point is seen; −1 where that is outside the image."""
+    if point[2] > 0.0:
+        k = views.intrinsics
+        u = int(wp.floor(k[0] * point[0] / point[2] + k[2] + 0.5))
+        v = int(wp.floor(k[1] * point[1] / point[2] + k[3] + 0.5))
+        if u >= 0 and v >= 0 and u < views.depth.shape[2] and v < views.depth.shape[1]:
+            return wp.vec2i(v, u)
+    return wp.vec2i(-1, -1)
+
+
+@wp.func
+def point_at(views: Views, view: int, v: int, u: int) -> wp.vec3:
+    """Return the point that a pixel sees, in the view's frame; 0 for none."""
+    k = views.intrinsics
+    z = views.depth[view, v, u]
+    return wp.vec3((float(u) - k[2]) / k[0] * z, (float(v) - k[3]) / k[1] * z, z)
+
+
+@wp.func
+def facet_at(views: Views, view: int, pixel: wp.vec2i) -> Facet:
+    """Return the surface at a pixel, its normal by central differences; none where the neighbours are of another."""
+    found = Facet()
+    v = pixel[0]
+    u = pixel[1]
+    if v < 1 or u < 1 or v > views.depth.shape[1] - 2 or u > views.depth.shape[2] - 2:
+        return found
+    left = point_at(views, view, v, u - 1)
+    right = point_at(views, view, v, u + 1)
+    above = point_at(views, view, v - 1, u)
+    below = point_at(views, view, v + 1, u)
+    found.point = point_at(views, view, v, u)
+    z = found.point[2]
+    if wp.min(z, wp.min(wp.min(left[2], right[2]), wp.min(above[2], below[2]))) <= 0.0:
+        return found
+    if wp.max(wp.abs(right[2] - left[2]), wp.abs(below[2] - above[2])) > _DEPTH_EDGE * z:
+        return found
+    found.normal = wp.normalize(wp.cross(right - left, below - above))
+    found.known = True
+    return found
+
+
+@wp.kernel
+def _gather(
+    gate: float,
+    views: Views,
+    chosen: wp.array(dtype=int),
+    points: wp.array(dtype=wp.vec3),
+    stride: int,
+    count: int,
+    runs: int,
+    rotations: wp.array(dtype=wp.mat33),
+    translations: wp.array(dtype=wp.vec3),
+    scales: wp.array(dtype=float),
+    sums: wp.array2d(dtype=float),
+) -> None:
+    index = wp.tid()
+    start = index / runs
+    run = index % runs
+    total = Sums()
+    for i in range(run * _RUN, wp.min(run * _RUN + _RUN, count)):
+        point = rotations[start] * points[i * stride] + translations[start]
+        pixel = pixel_at(views, point)
+        facet = facet_at(views, chosen[start], pixel)
+        away = point - facet.point
+        if facet.known and wp.abs(away[2]) < gate:
+            r = wp.dot(facet.normal, away)
+            weight = 1.0 / wp.max(1.0, wp.abs(r) / (_HUBER * scales[start]))
+            total = add_residual(total, r, weight, facet.normal, point)
+            total[27] += wp.abs(r)
+            total[28] += 1.0
+    for k in range(33):
+        sums[index, k] = total[k]
+
+
+@wp.func
+def solve_symmetric(upper: Sums64, damping: wp.float64) -> wp.spatial_vectord:
+    """Return x of (A + damping · 1) x = −b, by Cholesky's factors.
+
+    ``upper`` holds A's upper triangle by rows (21), then b (6).
+    """
+    low = wp.spatial_matrixd()
+    x = wp.spatial_vectord()
+    for column in range(6):
+        for row in range(column, 6):
+            value = upper[column * 6 - column * (column - 1) / 2 + row - column]
+            if row == column:
+                value += damping
+            for k in range(column):
+                value -= low[row, k] * low[column, k]
+            if row == column:
+                low[row, column] = wp.sqrt(wp.max(value, wp.float64(1e-300)))
+            else:
+                low[row, column] = value / low[column, column]
+    for row in range(6):
+        value = -upper[21 + row]
+        for k in range(row):
+            value -= low[row, k] * x[k]
+        x[row] = value / low[row, row]
+    for back in range(6):
+        row = 5 - back
+        value = x[row]
+        for k in range(row + 1, 6):
+            value -= low[k, row] * x[k]
+        x[row] = value / low[row, row]
+    return x
+
+
+@wp.kernel
+def _move(
+    steps: bool,
+    sums: wp.array2d(dtype=float),
+    runs: int,
+    depth: float,
+    scales: wp.array(dtype=float),
+    rotations: wp.array(dtype=wp.mat33),
+    translations: wp.array(dtype=wp.vec3),
+) -> None:
+    start = wp.tid()
+    total = Sums64()
+    for run in range(runs):
+        for k in range(33):
+            total[k] += wp.float64(sums[start * runs + run, k])
+    count = total[28]
+    # The mean stands for the median, which sorting would cost: near a Gaussian, σ is 1.25 times it.
+    scales[start] = 1.25 * float(total[27] / wp.max(count, wp.float64(1.0))) + 1.0e-4 * depth
+    if not steps or float(count) < _FEWEST_POINTS:
+        return
+    trace = total[0] + total[6] + total[11] + total[15] + total[18] + total[20]
+    step = solve_symmetric(total, _DAMPING * trace + wp.float64(1e-12))
+    shift = wp.spatial_top(step)
+    turn = wp.spatial_bottom(step)
+    # A plane lets the surface slide along it without end.
+    size = wp.max(wp.length(turn), wp.length(shift) / wp.float64(depth))
+    shrink = wp.min(wp.float64(1.0), _LARGEST_STEP / wp.max(size, wp.float64(1e-300)))
+    angle = float(shrink * wp.length(turn))
+    if angle > 0.0:
+        unit = wp.normalize(turn)
+        axis = wp.vec3(float(unit[0]), float(unit[1]), float(unit[2]))
+        rotation = wp.quat_to_matrix(wp.quat_from_axis_angle(axis, angle))
+        rotations[start] = rotation * rotations[start]
+        translations[start] = rotation * translations[start]
+    translations[start] += wp.vec3(float(shrink * shift[0]), float(shrink * shift[1]), float(shrink * shift[2]))
+
+
+@wp.kernel
+def _compare_points(
+    first: int,
+    views: Views,
+    chosen: wp.array(dtype=int),
+    points: wp.array(dtype=wp.vec3),
+    stride: int,
+    count: int,
+    runs: int,
+    cap: float,
+    rotations: wp.array(dtype=wp.mat33),
+    translations: wp.array(dtype=wp.vec3),
+    differences: wp.array(dtype=wp.vec2),
+) -> None:
+    index = wp.tid() + first
+    start = index / runs
+    run = index % runs
+    total = wp.vec2()
+    for i in range(run * _RUN, wp.min(run * _RUN + _RUN, count)):
+        point = rotations[start] * points[i * stride] + translations[start]
+        pixel = pixel_at(views, point)
+        difference = float(cap)
+        if pixel[0] >= 0:
+            z = views.depth[chosen[start], pixel[0], pixel[1]]
+            if z > 0.0:
+                difference = wp.min(wp.abs(z - point[2]), cap)
+        total += wp.vec2(difference, 1.0)
+    differences[index] = total
+
+
+@wp.kernel
+def _compare_views(
+    first: int,
+    views: Views,
+    chosen: wp.array(dtype=int),
+    query: wp.array2d(dtype=float),
+    known: wp.array2d(dtype=wp.uint8),
+    rows: int,
+    row_step: int,
+    cap: float,
+    rotations: wp.array(dtype=wp.mat33),
+    translations: wp.array(dtype=wp.vec3),
+    differences: wp.array(dtype=wp.vec2),
+) -> None:
+    index = wp.tid() + first
+    start = index / rows
+    v = row_step * (index % rows)
+    back = wp.transpose(rotations[start])
+    total = wp.vec2()
+    for u in range(0, views.depth.shape[2], row_step):
+        target = point_at(views, chosen[start], v, u)
+        if target[2] > 0.0:
+            point = back * (target - translations[start])
+            pixel = pixel_at(views, point)
+            if pixel[0] >= 0:
+                seen = query[pixel[0], pixel[1]]
+                # What lies behind another surface of the query is occluded, what its mask leaves out unknown.
+                if known[pixel[0], pixel[1]] != wp.uint8(0) and (seen == 0.0 or point[2] - seen < cap):
+                    difference = wp.where(seen == 0.0, cap, wp.min(wp.abs(point[2] - seen), cap))
+                    total += wp.vec2(difference, 1.0)
+    differences[index] = total
+
+
 def register(
     index: ViewIndex,
     views: NDArray[np.int64],
-    query: Query,
+    query: SmallQuery,
     start: NDArray[np.float64],
     *,
+    points: int,
     iterations: int,
     widest_gate: float = GATES[0],
 ) -> Registrations:
     """Align a query with k ``views`` of the index.
 
-    ``start`` (k, 4, 4) are first guesses of view_from_query; ``widest_gate`` how far apart points may lie at first,
-    in the query's depth. Views of which too few points agree keep the pose that they had, at cost 1.
+    ``start`` (k, 4, 4) are first guesses of view_from_query; about ``points`` of the query are used; ``widest_gate`` is
+    how far apart points may lie at first, in the query's depth. Views of which too few points agree keep the pose that
+    they had.
     """
-    depth = query.typical_depth
-    view_from_query = start.copy()
+    device, depth = index.device, query.typical_depth
+    images = Views()
+    images.depth, images.intrinsics = index.depth, index.intrinsics
+    chosen = wp.array(views.astype(np.int32), dtype=int, device=device)
+    rotations = wp.array(start[:, :3, :3].astype(np.float32), dtype=wp.mat33, device=device)
+    translations = wp.array(start[:, :3, 3].astype(np.float32), dtype=wp.vec3, device=device)
+    stride = max(len(query.points) // points, 1)
+    count = -(-len(query.points) // stride)
+    runs = -(-count // _RUN)
+    scales = wp.full(len(views), 1e6, dtype=float, device=device)
+    sums = wp.empty((len(views) * runs, SUMS), dtype=float, device=device)
+    inputs = [images, chosen, query.points_there, stride, count, runs, rotations, translations, scales]
+    # Recorded, a launch costs a tenth; shared among cores, it would cost more than it does.
+    gather = wp.launch(_gather, dim=len(sums), inputs=[0.0, *inputs], outputs=[sums], device=device, record_cmd=True)
+    inputs, outputs = [False, sums, runs, depth], [scales, rotations, translations]
+    move = wp.launch(_move, dim=len(views), inputs=inputs, outputs=outputs, device=device, record_cmd=True)
     gate = widest_gate * depth
-    for _ in range(iterations):
-        step = _gauss_newton(index, views, query.points, view_from_query, gate=gate, depth=depth)
-        view_from_query = _exponential(step) @ view_from_query
-        gate = max(GATE_SHRINKAGE * gate, GATES[1] * depth)
-        if np.abs(step).max() < SMALLEST_STEP:
-            break
-    costs = _costs(index, views, query, view_from_query, cap=LARGEST_DIFFERENCE * depth)
+    for iteration in range(iterations + 1):
+        gather.set_param_at_index(0, gate)
+        gather.launch()
+        # The first time it only tells how large the residuals are.
+        move.set_param_at_index(0, iteration > 0)
+        move.launch()
+        if iteration > 0:
+            gate = max(GATE_SHRINKAGE * gate, GATES[1] * depth)
+    view_from_query = np.tile(np.eye(4), (len(views), 1, 1))
+    view_from_query[:, :3, :3], view_from_query[:, :3, 3] = rotations.numpy(), translations.numpy()
+    costs = _costs(images, chosen, query, rotations, translations, stride=stride)
     return Registrations(view_from_query=view_from_query, costs=costs)
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Associated:
-    """For k views and m points: the points in the views' frames (k, m, 3), their pixels, and whether they have one."""
-
-    points: NDArray[np.float64]
-    pixels: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]
-    inside: NDArray[np.bool_]
-
-
-def _associate(
-    index: ViewIndex, views: NDArray[np.int64], points_query: NDArray[np.float64], view_from_query: NDArray[np.float64]
-) -> _Associated:
-    points = points_query @ np.swapaxes(view_from_query[:, :3, :3], 1, 2) + view_from_query[:, None, :3, 3]
-    camera = index.camera
-    z = np.maximum(points[..., 2], 1e-9)
-    u = np.rint(camera.fx * points[..., 0] / z + camera.cx)
-    v = np.rint(camera.fy * points[..., 1] / z + camera.cy)
-    inside = (points[..., 2] > 0) & (u >= 0) & (v >= 0) & (u < camera.width) & (v < camera.height)
-    rows, columns = (np.where(inside, place, 0).astype(np.int64) for place in (v, u))
-    return _Associated(points=points, pixels=(views[:, None], rows, columns), inside=inside)
-
-
-def _gauss_newton(
-    index: ViewIndex,
-    views: NDArray[np.int64],
-    points_query: NDArray[np.float64],
-    view_from_query: NDArray[np.float64],
-    *,
-    gate: float,
-    depth: float,
-) -> NDArray[np.float64]:
-    """Return each view's step (k, 6), a rotation vector and a translation, applied from the left."""
-    found = _associate(index, views, points_query, view_from_query)
-    normals = index.normals[found.pixels]
-    targets = index.rays[found.pixels[1:]] * index.depth[found.pixels][..., None]
-    away = targets - found.points
-    residuals = (normals * away).sum(axis=-1)
-    used = found.inside & index.oriented[found.pixels] & (np.abs(away[..., 2]) < gate)
-    counts = used.sum(axis=1)
-    absolute = np.where(used, np.abs(residuals), 0)
-    # The mean stands for the median, which sorting would cost: near a Gaussian, σ is 1.25 times it.
-    scale = 1.25 * absolute.sum(axis=1) / np.maximum(counts, 1) + 1e-4 * depth
-    weights = used / np.maximum(1, absolute / (HUBER * scale[:, None]))
-    jacobian = np.concatenate([cross(found.points, normals), normals], axis=-1)
-    weighted = np.swapaxes(jacobian * weights[..., None], 1, 2)
-    left = weighted @ jacobian
-    damping = DAMPING * np.trace(left, axis1=1, axis2=2) + 1e-12
-    step = np.linalg.solve(left + damping[:, None, None] * np.eye(6), weighted @ residuals[..., None])[..., 0]
-    # A plane lets the surface slide along it without end.
-    size = np.maximum(np.linalg.norm(step[:, :3], axis=1), np.linalg.norm(step[:, 3:], axis=1) / depth)
-    step *= np.minimum(1, LARGEST_STEP / np.maximum(size, 1e-300))[:, None]
-    return np.where((counts >= FEWEST_POINTS)[:, None], step, 0)
-
-
 def _costs(
-    index: ViewIndex, views: NDArray[np.int64], query: Query, view_from_query: NDArray[np.float64], *, cap: float
+    images: Views,
+    chosen: wp.array,
+    query: SmallQuery,
+    rotations: wp.array,
+    translations: wp.array,
+    *,
+    stride: int,
 ) -> NDArray[np.float64]:
     """Return the mean difference in depth, capped, of the query's points from the model and of model's from it."""
-    found = _associate(index, views, query.points, view_from_query)
-    depth = index.depth[found.pixels]
-    differences = np.where(found.inside & (depth > 0), np.minimum(np.abs(depth - found.points[..., 2]), cap), cap)
-    forward = differences.mean(axis=1)
-    backward = np.array(
-        [
-            _unexplained(index, index.depth[views[k]], query, inverse(pose), cap=cap)
-            for k, pose in enumerate(view_from_query)
-        ]
-    )
-    return (forward + backward) / (2 * cap)
-
-
-def _unexplained(
-    index: ViewIndex, view_depth: NDArray[np.float64], query: Query, query_from_view: Matrix, *, cap: float
-) -> float:
-    """Return how far the model's surface, seen from a view, is from the query's, where the query could have seen it.
-
-    What lies behind another surface of the query is occluded, what lies outside its image unknown: neither counts.
-    """
-    points = index.points(view_depth[::2, ::2], step=2)
-    if len(points) == 0:
-        return cap
-    found = _associate(index, np.zeros(1, np.int64), points, query_from_view[None])
-    rows, columns = found.pixels[1][0], found.pixels[2][0]
-    seen = query.depth[rows, columns]
-    difference = found.points[0, :, 2] - seen
-    known = found.inside[0] & query.known[rows, columns]
-    counted = known & ((seen == 0) | (difference < cap))
-    if not counted.any():
-        return cap
-    return float(np.where(seen == 0, cap, np.minimum(np.abs(difference), cap))[counted].mean())
-
-
-def _exponential(steps: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return rigid transforms (k, 4, 4): Rodrigues' rotation of the first three numbers, then the translation."""
-    vectors = steps[:, :3]
-    angles = np.linalg.norm(vectors, axis=1)
-    axes = vectors / np.maximum(angles, 1e-300)[:, None]
-    x, y, z = axes.T
-    zero = np.zeros_like(x)
-    hats = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
-    result = np.tile(np.eye(4), (len(steps), 1, 1))
-    result[:, :3, :3] += np.sin(angles)[:, None, None] * hats + (1 - np.cos(angles))[:, None, None] * (hats @ hats)
-    result[:, :3, 3] = steps[:, 3:]
-    return result
+    cap = LARGEST_DIFFERENCE * query.typical_depth
+    count = -(-len(query.points) // stride)
+    runs, rows = -(-count // _RUN), -(-images.depth.shape[1] // _ROW_STEP)
+    both = []
+    for kernel, threads, inputs in (
+        (_compare_points, runs, [query.points_there, stride, count, runs]),
+        (_compare_views, rows, [query.depth_there, query.known_there, rows, _ROW_STEP]),
+    ):
+        differences = wp.empty(len(chosen) * threads, dtype=wp.vec2, device=chosen.device)
+        launch_in_slabs(
+            kernel,
+            dim=len(differences),
+            inputs=[images, chosen, *inputs, cap, rotations, translations],
+            outputs=[differences],
+            device=chosen.device,
+            least_slab=_LEAST_SLAB,
+        )
+        total, counted = differences.numpy().reshape(len(chosen), threads, 2).sum(axis=1, dtype=np.float64).T
+        both.append(np.where(counted > 0, total / np.maximum(counted, 1), cap))
+    return np.asarray(sum(both) / (2 * cap))
