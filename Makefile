@@ -1,6 +1,11 @@
 # make demo   render Suzanne, fuse, locate, and open it all in Blender: the folder demo/
 # make test   install what the tests need, and run them
 # make lint   format, lint and type-check
+#
+# make extension        the Blender extension's zips, one for each platform, wheels and all: the folder dist/
+# make test-extension   this platform's zip, installed into Blender's Python module
+# make test-gui         the same zip in a Blender with an interface, on a virtual display (Debian, root, debootstrap)
+#
 # Blender's Python module exists for Python 3.11 (Blender 4.5, 5.0) and 3.13 (5.1 and later).
 
 PYTHON ?= $(shell command -v python3.11 || command -v python3.13 || echo python3)
@@ -8,7 +13,7 @@ VENV ?= .venv
 DEMO ?= demo
 RUN := $(VENV)/bin/python -m
 
-.PHONY: demo test lint clean system-libraries
+.PHONY: demo test lint extension test-extension test-gui clean system-libraries
 .DELETE_ON_ERROR:
 
 demo: $(DEMO)/comparison.png
@@ -36,6 +41,16 @@ lint: $(VENV)/dev.installed
 	$(RUN) ruff format $(if $(CI),--check) .
 	$(RUN) ruff check .
 	$(RUN) mypy
+
+extension: $(VENV)/dev.installed
+	$(RUN) blender_addon.packaging
+
+# Kept apart from the quick suite: they download some 300 MB, and a Blender of 2 GB.
+test-extension: $(VENV)/dev.installed
+	SCANBACK_TEST_WHEELS=1 $(RUN) pytest tests/blender_addon/test_zip_with_wheels.py
+
+test-gui: $(VENV)/dev.installed
+	SCANBACK_TEST_GUI=1 $(RUN) pytest tests/gui
 
 clean:
 	rm -rf $(VENV) $(DEMO) build dist *.egg-info

@@ -1,5 +1,7 @@
 """What the zips are for: platforms, and the Python and NumPy that Blender's releases bring along."""
 
+import platform
+import sys
 from dataclasses import dataclass
 
 
@@ -52,3 +54,13 @@ PYTHONS = (
     BlenderPython(blender="4.2 to 5.0", python="3.11", numpy=("1.24.3", "1.26.4")),  # 1.26 since Blender 4.4
     BlenderPython(blender="5.1 and later", python="3.13", numpy=("2.2.4", "2.3.0", "2.3.4")),  # 2.2: Debian's 4.3
 )
+
+
+def this_platform() -> Platform | None:
+    """Return the platform that this program runs on, None where there is no zip for it."""
+    here = (sys.platform, platform.machine())
+    for candidate in PLATFORMS:
+        markers = dict(candidate.markers)
+        if here == (markers["sys_platform"], markers["platform_machine"]):
+            return candidate
+    return None
