@@ -5,6 +5,7 @@ import sys
 from collections.abc import Sequence
 
 from datagen.commands import convert, info, lens, merge, pointcloud, preview, render, sensor, validate, verify
+from datagen.commands.job_options import watch_parent
 from datagen.errors import InputError, WorkerError
 
 COMMANDS = (render, info, sensor, lens, convert, verify, merge, pointcloud, validate, preview)
@@ -18,6 +19,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code."""
     options = _parser().parse_args(arguments)
     try:
+        watch_parent(options)
         return options.run(options) or 0
     except InputError as error:
         print(f"datagen: error: {error}", file=sys.stderr)

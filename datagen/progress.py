@@ -1,5 +1,7 @@
 """Progress of long work, reported by the library and drawn by the command line."""
 
+import json
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Protocol
@@ -26,6 +28,23 @@ class ProgressReporter(Protocol):
 def silent(stage: str, total: int) -> Callable[[], None]:  # noqa: ARG001
     """Report nothing."""
     return lambda: None
+
+
+def as_json_lines(stage: str, total: int) -> Callable[[], None]:
+    """Write one JSON object a line on standard error as ``stage`` begins and after each step: for programs."""
+    done = 0
+
+    def write() -> None:
+        sys.stderr.write(json.dumps({"stage": stage, "done": done, "total": total}) + "\n")
+        sys.stderr.flush()
+
+    def advance() -> None:
+        nonlocal done
+        done += 1
+        write()
+
+    write()
+    return advance
 
 
 @contextmanager

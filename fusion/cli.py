@@ -4,16 +4,18 @@ import argparse
 import sys
 from collections.abc import Sequence
 
+from datagen.commands.job_options import watch_parent
 from datagen.errors import InputError
-from fusion.commands import crop, evaluate, export, locate, merge, mesh, reconstruct, render, report
+from fusion.commands import crop, estimate, evaluate, export, locate, merge, mesh, reconstruct, render, report
 
-COMMANDS = (reconstruct, locate, evaluate, report, render, export, mesh, crop, merge)
+COMMANDS = (estimate, reconstruct, locate, evaluate, report, render, export, mesh, crop, merge)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; returns its exit code: 0, 2 for input that cannot be used, 130 where interrupted."""
     options = _parser().parse_args(arguments)
     try:
+        watch_parent(options)
         options.run(options)
     except InputError as error:
         print(f"fusion: error: {error}", file=sys.stderr)

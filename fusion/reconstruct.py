@@ -16,7 +16,7 @@ from fusion.devices import Device, load_kernels, resolve_device
 from fusion.evaluation.evaluate import Observers, evaluate
 from fusion.frames.frame_source import FrameSource
 from fusion.frames.survey import SceneSurvey, combine
-from fusion.integration.fuse import Fused, batch_size, fuse
+from fusion.integration.fuse import Fused, Watcher, batch_size, fuse
 from fusion.integration.fuse_batch import load_fusion_kernels
 from fusion.meshing import mesh_fused
 from fusion.reconstruction_config import Lengths, ReconstructionConfig, choose_lengths
@@ -52,10 +52,16 @@ class Reconstruction:
 
 
 def reconstruct(
-    dataset: Dataset, folder: Path, config: ReconstructionConfig, *, progress: ProgressReporter = silent
+    dataset: Dataset,
+    folder: Path,
+    config: ReconstructionConfig,
+    *,
+    progress: ProgressReporter = silent,
+    watch: Watcher | None = None,
 ) -> Reconstruction:
     """Fuse a dataset and write the reconstruction into ``folder``, its record last.
 
+    ``watch`` is shown the volume while it grows.
     Raises InputError for frames that cannot be used, and for a volume that does not fit into memory before any of it is
     allocated; then nothing is written.
     """
@@ -78,6 +84,7 @@ def reconstruct(
             integration=config.integration,
             clock=clock,
             progress=progress,
+            watch=watch,
         )
         clock.seconds["waiting"] = source.waiting_seconds
         mesh = _mesh(fused.volume, source, config, clock, progress)

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from datagen.commands.arguments import image_size, layer_names, positive
+from datagen.commands.job_options import add_job_options, reporting
 from datagen.dataset import Dataset
-from datagen.progress import on_terminal
 from datagen.rendering.render_job import DEVICES, render_dataset
 from datagen.rendering.render_workers import FRAMES_PER_WORKER
 from datagen.rendering.shards import parse_shard
@@ -32,6 +32,7 @@ def add_command(commands: Any) -> None:
         "--layers", type=layer_names, metavar="A,B", help="also write these: normals, masks, flow (to the next frame)"
     )
     _add_machine_options(render)
+    add_job_options(render)
     render.set_defaults(run=_run)
 
 
@@ -62,7 +63,7 @@ def _run(options: argparse.Namespace) -> None:
     changes |= {name: value for name in names if (value := getattr(options, name)) is not None}
     scene = with_render_settings(load_scene(options.scene), **changes)
     shard = parse_shard(options.shard)
-    with on_terminal() as progress:
+    with reporting(options) as progress:
         dataset = render_dataset(
             scene,
             options.out,

@@ -6,9 +6,9 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from datagen.commands.job_options import add_job_options, reporting
 from datagen.errors import InputError
 from datagen.open_dataset import open_dataset
-from datagen.progress import on_terminal
 from datagen.pydantic_errors import describe_validation_error
 from datagen.scene_spec.sensor_settings import SensorSettings
 from datagen.sensors.add_layers import add_sensor_depth
@@ -41,6 +41,7 @@ def add_command(commands: Any) -> None:
         sensor.add_argument(f"--no-{name}", dest=name, action="store_false", help=f"keep returns {where}")
     sensor.add_argument("--nearest", type=float, metavar="M", help="metres; nearer is lost (default: the model's)")
     sensor.add_argument("--farthest", type=float, metavar="M", help="metres; farther is lost (default: the model's)")
+    add_job_options(sensor)
     sensor.set_defaults(run=_run)
 
 
@@ -54,7 +55,7 @@ def _run(options: argparse.Namespace) -> None:
         settings = SensorSettings.model_validate(chosen)
     except ValidationError as error:
         raise InputError(describe_validation_error("sensor settings", error, SensorSettings)) from error
-    with on_terminal() as progress:
+    with reporting(options) as progress:
         add_sensor_depth(dataset, settings, progress=progress)
     print(
         f"{options.dataset}: the layer sensor_depth has {len(dataset.frame_ids)} frames as a {settings.model} would "

@@ -10,7 +10,6 @@ import json
 import queue
 import shutil
 import subprocess
-import sys
 import tempfile
 import threading
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ from typing import Any, Literal
 
 import psutil
 
+from datagen.blender_program import module_command
 from datagen.dataset_format import METADATA_FILE
 from datagen.errors import InputError, WorkerError
 from datagen.rendering.scratch import hold, make_scratch
@@ -86,7 +86,7 @@ class RenderWorker:
         self._open.enter_context(hold(self._scratch))
         self._log = self._open.enter_context(tempfile.TemporaryFile("w+b"))  # noqa: SIM115 - that closes it
         self._process = subprocess.Popen(  # noqa: S603 - our own module
-            [sys.executable, "-m", WORKER_MODULE, str(self._scratch)],
+            module_command(WORKER_MODULE, str(self._scratch)),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._log,
@@ -194,7 +194,8 @@ class RenderWorker:
     def _forward_reports(self, inbox: "queue.Queue[tuple[RenderWorker, str]]") -> None:
         assert self._process.stdout is not None
         for line in self._process.stdout:
-            inbox.put((self, line))
+            if line.startswith("{"):  # a Blender application says its name first
+                inbox.put((self, line))
         inbox.put((self, ""))
 
     def _log_tail(self) -> str:

@@ -3,11 +3,11 @@
 import json
 import math
 import subprocess
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from datagen.blender_program import module_command
 from datagen.errors import InputError, WorkerError
 
 MEASURING_MODULE = "datagen.blender.measure"
@@ -42,10 +42,10 @@ class MeasuredModel:
 def measure_model(path: Path) -> MeasuredModel:
     """Ask Blender about a model file. Raises InputError where it cannot be used or Blender is not installed."""
     done = subprocess.run(  # noqa: S603 - our own module
-        [sys.executable, "-m", MEASURING_MODULE, str(path)], capture_output=True, text=True, check=False
+        module_command(MEASURING_MODULE, str(path)), capture_output=True, text=True, check=False
     )
     try:
-        answer = json.loads(done.stdout)
+        answer = json.loads(done.stdout[done.stdout.find("{") :])
     except ValueError:
         raise WorkerError(
             f"{path}: Blender ended with exit code {done.returncode} while it read the file. "

@@ -4,14 +4,15 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from datagen.commands.job_options import add_job_options, reporting
 from datagen.errors import InputError
 from datagen.frame_selection import select_frames
 from datagen.open_dataset import open_dataset
-from datagen.progress import on_terminal
 from fusion.commands.arguments import add_device, add_frames, add_json, print_json
 from fusion.commands.metrics import print_metrics
 from fusion.devices import resolve_device
 from fusion.evaluation.evaluate import Observers, evaluate
+from fusion.evaluation.vertex_errors import write_vertex_errors
 from fusion.reconstruction_config import check_length
 from fusion.reconstruction_files import RECORD_FILE, ReconstructionRecord, read_record
 from fusion.surface.mesh_files import read_mesh
@@ -32,7 +33,11 @@ def add_command(commands: Any) -> None:
     command.add_argument("--voxel-size", type=float, metavar="M", help="to give lengths in voxels too")
     add_frames(command)
     add_device(command)
+    command.add_argument(
+        "--vertex-errors", type=Path, metavar="FILE", help="also write how far each of the mesh's vertices is (.npy)"
+    )
     add_json(command)
+    add_job_options(command)
     command.set_defaults(run=_run)
 
 
@@ -49,7 +54,7 @@ def _run(options: argparse.Namespace) -> None:
     if thresholds is None:
         raise InputError(f"{options.mesh}: its voxel size is not known; give --voxel-size or --threshold")
     ours, ground_truth = read_mesh(options.mesh), read_mesh(_ground_truth_file(options.ground_truth))
-    with on_terminal() as progress:
+    with reporting(options) as progress:
         metrics = evaluate(
             ours,
             ground_truth,
@@ -59,6 +64,8 @@ def _run(options: argparse.Namespace) -> None:
             voxel_size=voxel_size,
             progress=progress,
         )
+    if options.vertex_errors is not None:
+        write_vertex_errors(options.vertex_errors, ours, ground_truth, device=resolve_device(options.device))
     if options.json:
         print_json(metrics)
     else:

@@ -8,8 +8,8 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from datagen.commands.job_options import add_job_options, reporting
 from datagen.open_dataset import open_dataset
-from datagen.progress import on_terminal
 from fusion.commands.arguments import (
     add_depth_layer,
     add_device,
@@ -37,6 +37,7 @@ def add_command(commands: Any) -> None:
     add_frames(command)
     add_device(command)
     add_json(command)
+    add_job_options(command)
     command.set_defaults(run=_run)
 
 
@@ -44,7 +45,7 @@ def _run(options: argparse.Namespace) -> None:
     dataset = open_dataset(options.dataset)
     if options.depth is not None:
         dataset = dataset.with_depth_layer(options.depth)
-    with on_terminal() as progress:
+    with reporting(options) as progress:
         located = locate(
             options.reconstruction,
             dataset,

@@ -7,14 +7,16 @@ from typing import Any, get_args
 from rich.console import Console
 from rich.table import Table
 
+from datagen.commands.arguments import positive
+from datagen.commands.job_options import add_job_options, reporting
 from datagen.open_dataset import open_dataset
-from datagen.progress import on_terminal
 from fusion.commands.arguments import add_depth_layer, add_device, add_frames, add_json, print_json
 from fusion.commands.metrics import print_metrics
 from fusion.integration.options import DepthSampling, Integration, Weighting
 from fusion.reconstruct import reconstruct
 from fusion.reconstruction_config import ReconstructionConfig
 from fusion.reconstruction_files import ReconstructionRecord
+from fusion.snapshots import Snapshots
 from fusion.surface.meshers import Mesher, OracleName
 from fusion.volume.voxels import Storage
 
@@ -33,6 +35,13 @@ def add_command(commands: Any) -> None:
     add_frames(command)
     add_device(command)
     add_json(command)
+    command.add_argument(
+        "--snapshots", type=Path, metavar="FILE", help="while fusing, write a small mesh of what is there so far (.ply)"
+    )
+    command.add_argument(
+        "--snapshot-count", type=positive, default=20, metavar="N", help="how often (default: %(default)s)"
+    )
+    add_job_options(command)
     command.set_defaults(run=_run)
 
 
@@ -105,8 +114,11 @@ def _run(options: argparse.Namespace) -> None:
         depth_layer=options.depth,
     )
     dataset = open_dataset(options.dataset)
-    with on_terminal() as progress:
-        result = reconstruct(dataset, options.out, config, progress=progress)
+    watch = None
+    if options.snapshots is not None:
+        watch = Snapshots(options.snapshots, count=options.snapshot_count)
+    with reporting(options) as progress:
+        result = reconstruct(dataset, options.out, config, progress=progress, watch=watch)
     if options.json:
         print_json(result.record.model_dump(mode="json"))
     else:

@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from datagen.commands.arguments import image_size
+from datagen.commands.job_options import add_job_options, reporting
 from datagen.dataset import read_pose
-from datagen.progress import on_terminal
 from fusion.commands.arguments import add_device, add_json, add_reconstruction, print_result
 from fusion.render import render
 
@@ -24,12 +24,13 @@ def add_command(commands: Any) -> None:
     )
     add_device(command)
     add_json(command)
+    add_job_options(command)
     command.set_defaults(run=_run)
 
 
 def _run(options: argparse.Namespace) -> None:
     pose = None if options.pose is None else read_pose(options.pose)
-    with on_terminal() as progress:
+    with reporting(options) as progress:
         view = render(
             options.reconstruction,
             options.out,

@@ -1,7 +1,8 @@
 """From frames to a volume: find all blocks, allocate them once, integrate batch by batch."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import TypeAlias
 
 from datagen.progress import ProgressReporter
 from fusion.devices import Device
@@ -27,6 +28,10 @@ TILES_BYTES = 64 << 20
 """How much of what the allocation pass found out about the images is kept for integration."""
 
 
+Watcher: TypeAlias = Callable[[Volume, int, int], None]
+"""Is shown the volume after each batch, with the number of frames in it and of all frames."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Fused:
     """A volume of all frames, what they cover, and how many voxels were gone through, once a frame each."""
@@ -50,6 +55,7 @@ def fuse(
     integration: Integration,
     clock: Stopwatch,
     progress: ProgressReporter,
+    watch: Watcher | None = None,
 ) -> Fused:
     """Integrate all frames of ``source``; its time goes to the clock's stages "allocate" and "integrate".
 
@@ -80,7 +86,8 @@ def fuse(
         volume.table.sort()
         volume.reserve(volume.table.count)
     counter = UpdateCounter(volume)
-    advance = progress("integrate", len(source.frame_ids))
+    done, total = 0, len(source.frame_ids)
+    advance = progress("integrate", total)
     for number, frames in enumerate(source.batches()):
         with clock("integrate"):
             batch = upload(frames.depths, frames.poses, frames.colors)
@@ -88,6 +95,9 @@ def fuse(
             counter.add(integrate_batch(volume, batch, integration, tiles=known))
         for _ in frames.frame_ids:
             advance()
+        done += len(frames.frame_ids)
+        if watch is not None:
+            watch(volume, done, total)
     return Fused(volume=volume, survey=survey, voxel_updates=counter.updates)
 
 

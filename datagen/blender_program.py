@@ -1,0 +1,29 @@
+"""Starting a module of ours where Blender can be imported.
+
+That is this interpreter, where Blender is installed as the Python module bpy. A Blender application brings no such
+module for others: there the application itself runs the module, without an interface and without the user's settings.
+"""
+
+import os
+import sys
+
+PROGRAM_VARIABLE = "SCANBACK_BLENDER"
+"""Environment variable that names a Blender application, for those who have no bpy module."""
+
+_RUN_MODULE = (
+    "import runpy, sys; sys.argv = sys.argv[sys.argv.index('--') + 1:]; "
+    "runpy.run_module(sys.argv[0], run_name='__main__')"
+)
+
+
+def module_command(module: str, *arguments: str) -> list[str]:
+    """Return the command line that runs ``module`` with ``arguments`` where it can import bpy.
+
+    A Blender application says a word on standard output before the module runs: take lines of JSON alone from it. It
+    finds our packages by ``PYTHONPATH``.
+    """
+    program = os.environ.get(PROGRAM_VARIABLE)
+    if not program:
+        return [sys.executable, "-m", module, *arguments]
+    options = ["--background", "--factory-startup", "--python-use-system-env", "--python-exit-code", "1"]
+    return [program, *options, "--python-expr", _RUN_MODULE, "--", module, *arguments]

@@ -1,0 +1,45 @@
+"""``fusion estimate``: how large a reconstruction will be."""
+
+import argparse
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from datagen.commands.job_options import add_job_options, reporting
+from datagen.open_dataset import open_dataset
+from fusion.commands.arguments import add_depth_layer, add_frames, add_json, print_result
+from fusion.estimate import estimate
+from fusion.reconstruction_config import VOXELS_PER_TRUNCATION, check_length
+
+
+def add_command(commands: Any) -> None:
+    """Add the command to the parser's ``commands``."""
+    command = commands.add_parser("estimate", help="tell how large a reconstruction will be, from a few frames")
+    command.add_argument("dataset", type=Path, help="what would be fused")
+    command.add_argument("--voxel-size", type=float, metavar="M", help="metres; from the data if not given")
+    command.add_argument("--truncation", type=float, metavar="M", help="metres; 4 voxels if not given")
+    command.add_argument("--depth-max", type=float, metavar="M", help="take farther depths as invalid")
+    add_depth_layer(command)
+    add_frames(command)
+    add_json(command)
+    add_job_options(command)
+    command.set_defaults(run=_run)
+
+
+def _run(options: argparse.Namespace) -> None:
+    for name in ("voxel_size", "truncation", "depth_max"):
+        if getattr(options, name) is not None:
+            check_length(f"--{name.replace('_', '-')}", getattr(options, name))
+    dataset = open_dataset(options.dataset)
+    if options.depth is not None:
+        dataset = dataset.with_depth_layer(options.depth)
+    with reporting(options) as progress:
+        found = estimate(dataset, frames=options.frames, depth_max=options.depth_max, progress=progress)
+    voxel_size = options.voxel_size or found.voxel_size
+    truncation = options.truncation or VOXELS_PER_TRUNCATION * voxel_size
+    sizes = {"triangles": found.triangles(voxel_size), "volume_bytes": found.volume_bytes(voxel_size, truncation)}
+    text = (
+        f"{found.frames} frames at a voxel size of {voxel_size:g} m: about {sizes['triangles']:,} triangles, "
+        f"{sizes['volume_bytes'] / 2**20:,.0f} MiB of voxels"
+    )
+    print_result(options, asdict(found) | sizes, text)

@@ -1,0 +1,86 @@
+"""What programs that start ours rely on: progress by lines of JSON, and an end with their own."""
+
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from datagen.blender_program import PROGRAM_VARIABLE, module_command
+from datagen.progress import as_json_lines
+
+WAITING = """
+import sys, threading, time
+from datagen.parent_process import end_with_input
+end_with_input()
+print("ready", flush=True)
+try:
+    threading.Event().wait() if sys.argv[1] == "lock" else time.sleep(60)
+except KeyboardInterrupt:
+    sys.exit(77)
+"""
+
+
+def test_progress_is_one_object_a_line(capsys: pytest.CaptureFixture[str]) -> None:
+    advance = as_json_lines("Rendering", 2)
+    advance()
+    advance()
+    lines = [json.loads(line) for line in capsys.readouterr().err.splitlines()]
+    assert lines == [{"stage": "Rendering", "done": done, "total": 2} for done in (0, 1, 2)]
+
+
+@pytest.mark.parametrize("waiting_for", ["lock", "time"])
+def test_the_end_of_the_input_interrupts(waiting_for: str) -> None:
+    with subprocess.Popen(
+        [sys.executable, "-c", WAITING, waiting_for], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"ready\n"
+        time.sleep(0.1)
+        assert process.poll() is None
+        process.stdin.close()
+        assert process.wait(timeout=5) == 77
+
+
+def test_the_command_line_ends_with_its_input(tmp_path: Path) -> None:
+    """As where the program that holds the pipe's other end dies: what was rendered is kept."""
+    command = [sys.executable, "-m", "datagen", "render", "suzanne", str(tmp_path / "out"), "--size", "64x48"]
+    done = subprocess.run(
+        [*command, "--samples", "1", "--frames", "500", "--progress", "json", "--end-with-input"],
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 130, done.stderr
+    assert "interrupted" in done.stderr
+
+
+def test_a_blender_application_runs_a_module(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv(PROGRAM_VARIABLE, raising=False)
+    assert module_command("a.b", "c") == [sys.executable, "-m", "a.b", "c"]
+    monkeypatch.setenv(PROGRAM_VARIABLE, "/opt/blender/blender")
+    command = module_command("a.b", "c")
+    assert command[0] == "/opt/blender/blender"
+    assert command[-3:] == ["--", "a.b", "c"]
+    assert "--factory-startup" in command
+
+
+def test_what_blender_is_given_to_run_runs_the_module(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The expression finds the module behind the two dashes, as in Blender's own list of arguments."""
+    monkeypatch.setenv(PROGRAM_VARIABLE, "blender")
+    command = module_command("json.tool", "--help")
+    expression = command[command.index("--python-expr") + 1]
+    done = subprocess.run(
+        [sys.executable, "-c", expression, *command[command.index("--") :]],
+        capture_output=True,
+        text=True,
+        timeout=20,
+        check=False,
+    )
+    assert done.returncode == 0
+    assert "json" in done.stdout.lower()
