@@ -6,9 +6,21 @@ from collections.abc import Sequence
 
 from datagen.commands.job_options import watch_parent
 from datagen.errors import InputError
-from fusion.commands import crop, estimate, evaluate, export, locate, merge, mesh, reconstruct, render, report
+from fusion.commands import (
+    crop,
+    estimate,
+    evaluate,
+    export,
+    locate,
+    merge,
+    mesh,
+    pose_benchmark,
+    reconstruct,
+    render,
+    report,
+)
 
-COMMANDS = (estimate, reconstruct, locate, evaluate, report, render, export, mesh, crop, merge)
+COMMANDS = (estimate, reconstruct, locate, evaluate, pose_benchmark, report, render, export, mesh, crop, merge)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -1,0 +1,98 @@
+"""``fusion pose-benchmark``: how well new views are located, by a protocol with bars."""
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Any, get_args
+
+from rich.console import Console
+from rich.table import Table
+
+from datagen.errors import InputError
+from datagen.progress import on_terminal
+from fusion.commands.arguments import add_device, add_json, print_json
+from fusion.pose_benchmark.protocol import TRIAL_NAMES, parse_trials
+from fusion.pose_benchmark.subjects import Kind
+from fusion.pose_benchmark.summary import Row, rows_as_json
+from fusion.reconstruction_config import check_length
+
+
+def add_command(commands: Any) -> None:
+    """Add the command to the parser's ``commands``."""
+    command = commands.add_parser(
+        "pose-benchmark", help="locate held-out frames by a protocol; a table with bars, and pictures"
+    )
+    command.add_argument("dataset", type=Path, nargs="+", help="datasets, or a folder of YCB-Video's frames and models")
+    command.add_argument("out", type=Path, help="the folder to write; a second run goes on there")
+    command.add_argument(
+        "--protocol",
+        choices=get_args(Kind),
+        help="what the data are; without it a dataset with a true mesh is an object, another one a room",
+    )
+    command.add_argument("--trials", metavar="A,B", help=f"only these: {', '.join(TRIAL_NAMES)}")
+    command.add_argument(
+        "--fuse",
+        metavar="START:STOP:STEP",
+        help="the frames to fuse (default: all but every fifth of an object, every tenth of a room)",
+    )
+    command.add_argument(
+        "--frames", metavar="START:STOP:STEP", help="a Python slice over the frames that are not fused; all by default"
+    )
+    command.add_argument("--voxel-size", type=float, metavar="M", help="metres; from the data if not given")
+    command.add_argument("--seed", type=int, default=0, help="of starts, noise and occluders (default: %(default)s)")
+    add_device(command)
+    add_json(command)
+    command.set_defaults(run=_run)
+
+
+def _run(options: argparse.Namespace) -> None:
+    try:
+        from fusion.pose_benchmark.benchmark import BenchmarkConfig, run_benchmark  # noqa: PLC0415 - needs an extra
+    except ModuleNotFoundError as error:
+        raise InputError(
+            f'histograms need the Python module {error.name}, which is not installed: pip install "scanback[preview]"'
+        ) from error
+    if options.voxel_size is not None:
+        check_length("--voxel-size", options.voxel_size)
+    if options.seed < 0:
+        raise InputError(f"--seed {options.seed}: expected 0 or more")
+    config = BenchmarkConfig(
+        protocol=options.protocol,
+        trials=parse_trials(options.trials),
+        fuse=options.fuse,
+        frames=options.frames,
+        voxel_size=options.voxel_size,
+        seed=options.seed,
+        device=options.device,
+    )
+    try:
+        with on_terminal() as progress:
+            outcome = run_benchmark(options.dataset, options.out, config, progress=progress)
+    except KeyboardInterrupt:
+        print("fusion: interrupted; the same command goes on", file=sys.stderr)
+        raise SystemExit(130) from None
+    if options.json:
+        print_json(rows_as_json(outcome.rows))
+    else:
+        _print_rows(outcome.rows)
+        print(outcome.page)
+
+
+def _print_rows(rows: tuple[Row, ...]) -> None:
+    console = Console()
+    for subject in dict.fromkeys(row.subject for row in rows):
+        table = Table("trial", "cases", "what", "bar", "reached", "", box=None, title=subject, title_justify="left")
+        title = None
+        for row in (row for row in rows if row.subject == subject):
+            first = row.title != title
+            title = row.title
+            color = {True: "green", False: "bold red", None: "dim"}[row.passed]
+            table.add_row(
+                row.title if first else "",
+                str(row.cases) if first else "",
+                row.what,
+                row.bar,
+                f"[{color}]{row.reached_in_words}[/]",
+                f"[{color}]{row.verdict}[/]",
+            )
+        console.print(table)

@@ -1,0 +1,167 @@
+"""A subject from a dataset: some frames fused, the others held out to be located."""
+
+import hashlib
+import json
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from datagen.dataset import Dataset
+from datagen.errors import InputError
+from datagen.frame_selection import select_frames
+from datagen.progress import ProgressReporter, silent
+from datagen.rigid import rigid
+from fusion.devices import Device
+from fusion.evaluation.pose_errors import ModelPoints
+from fusion.evaluation.symmetries import symmetry_transforms
+from fusion.pose.epipolar import ReferenceFrame
+from fusion.pose.pose_model import PoseModel, prepare_model
+from fusion.pose.view_index import index_views
+from fusion.pose_benchmark.subjects import Fused, Kind, Subject
+from fusion.pose_benchmark.views import View
+from fusion.reconstruct import reconstruct
+from fusion.reconstruction_config import ReconstructionConfig
+from fusion.reconstruction_files import (
+    MESH_FILE,
+    RECORD_FILE,
+    VOLUME_FILE,
+    ReconstructionRecord,
+    installed_versions,
+    read_record,
+    relative_to,
+)
+from fusion.surface.mesh import Mesh
+from fusion.surface.mesh_files import read_mesh
+from fusion.volume.volume_file import load_volume
+
+OBJECT_HOLDS_OUT = "2::5"
+ROOM_FUSES = "::10"
+MODEL_POINTS = 5000
+"""Of the true surface, equally many for equal area."""
+
+
+def scanned_subject(
+    dataset: Dataset,
+    folder: Path,
+    *,
+    kind: Kind,
+    fuse: str | None,
+    voxel_size: float | None,
+    device: Device,
+    progress: ProgressReporter = silent,
+) -> Subject:
+    """Fuse some of a dataset's frames into ``folder``, or read what lies there of them, and hold out the others.
+
+    ``fuse`` is START:STOP:STEP; without it all frames but every fifth of an object, every tenth of a room. Raises
+    InputError where no frame is left to locate, and for everything that a reconstruction refuses.
+    """
+    fused_frames = _fused_frames(dataset, kind, fuse)
+    held_out = tuple(i for i in dataset.frame_ids if i not in set(fused_frames))
+    if not held_out:
+        raise InputError(f"{dataset.folder}: all of its frames are fused, none is left to locate; fuse fewer")
+    dataset.require(dataset.frame_ids)
+    record = _reconstruction(dataset, folder, fused_frames, voxel_size, device, progress)
+    model = prepare_model(load_volume(folder / VOLUME_FILE, device=device))
+    return Subject(
+        name=dataset.folder.resolve().name,
+        kind=kind,
+        model=model,
+        points=ModelPoints(points=_true_points(dataset, model), symmetries=symmetry_transforms()),
+        queries=held_out,
+        view=lambda frame: _view(dataset, frame),
+        fused=_fused(dataset, record, model, device),
+        identity=_identity(record),
+    )
+
+
+def _fused_frames(dataset: Dataset, kind: Kind, fuse: str | None) -> tuple[int, ...]:
+    if fuse is not None or kind == "room":
+        return select_frames(dataset.frame_ids, fuse or ROOM_FUSES)
+    held_out = set(select_frames(dataset.frame_ids, OBJECT_HOLDS_OUT))
+    return tuple(i for i in dataset.frame_ids if i not in held_out)
+
+
+def _reconstruction(
+    dataset: Dataset,
+    folder: Path,
+    frames: tuple[int, ...],
+    voxel_size: float | None,
+    device: Device,
+    progress: ProgressReporter,
+) -> ReconstructionRecord:
+    """Fuse ``frames`` alone; the dataset that is handed on does not even know the others."""
+    config = ReconstructionConfig(voxel_size=voxel_size, device=device.alias)
+    record = _kept(dataset, folder, frames, config)
+    if record is not None:
+        return record
+    some = replace(dataset, frames={i: dataset.frames[i] for i in frames}, ground_truth_mesh=None)
+    return reconstruct(some, folder, config, progress=progress).record
+
+
+def _kept(
+    dataset: Dataset, folder: Path, frames: tuple[int, ...], config: ReconstructionConfig
+) -> ReconstructionRecord | None:
+    """Return the record of a reconstruction that was made of the same by the same, None where there is none."""
+    if not all((folder / name).is_file() for name in (RECORD_FILE, VOLUME_FILE, MESH_FILE)):
+        return None
+    try:
+        record = read_record(folder)
+    except InputError:  # of an older version, or damaged: it is made anew
+        return None
+    same = (
+        record.dataset == relative_to(folder, dataset.folder)
+        and tuple(frame.frame for frame in record.trajectory) == frames
+        and record.config == asdict(config)
+        and record.versions == installed_versions()
+    )
+    return record if same else None
+
+
+def _identity(record: ReconstructionRecord) -> str:
+    """Return a digest of what the model was made of; its times are not part of it."""
+    told = record.model_dump(mode="json", include={"trajectory", "voxel_size_m", "truncation_m", "config", "versions"})
+    return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def _fused(dataset: Dataset, record: ReconstructionRecord, model: PoseModel, device: Device) -> Fused:
+    poses = {
+        frame.frame: rigid(frame.world_from_camera, source=f"{RECORD_FILE}: frame {frame.frame}")
+        for frame in record.trajectory
+    }
+
+    def reference(frame: int) -> ReferenceFrame:
+        return ReferenceFrame(
+            camera=dataset.camera,
+            color=dataset.color(frame),
+            depth=dataset.depth(frame),
+            world_from_camera=poses[frame],
+        )
+
+    index = index_views(model.mesh, list(poses.values()), dataset.camera, device=device)
+    return Fused(poses=poses, index=index, reference=reference)
+
+
+def _view(dataset: Dataset, frame: int) -> View:
+    return View(
+        camera=dataset.camera,
+        color=dataset.color(frame),
+        depth=dataset.depth(frame),
+        mask=None,
+        world_from_camera=dataset.world_from_camera(frame),
+    )
+
+
+def _true_points(dataset: Dataset, model: PoseModel) -> NDArray[np.float64]:
+    """Return points of the true surface, of the fused one where the truth is not known."""
+    mesh = model.mesh if dataset.ground_truth_mesh is None else read_mesh(dataset.ground_truth_mesh)
+    return surface_sample(mesh, MODEL_POINTS)
+
+
+def surface_sample(mesh: Mesh, count: int) -> NDArray[np.float64]:
+    """Return ``count`` points (count, 3) of a mesh, equally many for equal area, always the same."""
+    shape = trimesh.Trimesh(mesh.vertices, mesh.triangles, process=False)
+    points, _triangles = trimesh.sample.sample_surface(shape, count, seed=0)
+    return np.asarray(points, dtype=np.float64)
