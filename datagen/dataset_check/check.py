@@ -35,7 +35,8 @@ def check_dataset(
         raise InputError(_nothing_usable(dataset, findings, len(facts)))
     done()
     if any(each.color_digest is not None for each in facts):
-        findings += check_color(dataset, facts, rng)
+        geometry_holds = bool(usable) and not any(finding.severity == "fault" for finding in findings)
+        findings += check_color(dataset, facts, rng, geometry_holds=geometry_holds)
     done()
     findings.sort(key=lambda finding: finding.severity != "fault")
     return CheckReport(dataset=str(dataset.folder), findings=tuple(findings), basis=basis)

@@ -80,6 +80,11 @@ class _Edges:
     across_color: NDArray[np.float32]
 
 
+def largest_offset(width: int) -> int:
+    """Return how far offsets are looked for in images of a ``width``, pixels."""
+    return max(LARGEST_OFFSET_PX, width // 30)
+
+
 def measure_color_alignment(
     images: Iterable[tuple[NDArray[np.uint8], NDArray[np.float32]]], rng: np.random.Generator
 ) -> ColorAlignment | None:
@@ -138,7 +143,7 @@ def _combined(sums: NDArray[np.float64], counts: NDArray[np.int64]) -> NDArray[n
 
 def _frame_edges(color: NDArray[np.uint8], depth: NDArray[np.float32], rng: np.random.Generator) -> list[_Edges]:
     nearness, image = inverse_depth(depth), color.astype(np.float32)
-    gap, size = max(3, int(WIDEST_SHADOW * depth.shape[1])), 2 * _reach(depth.shape[1]) + 1
+    gap, size = max(3, int(WIDEST_SHADOW * depth.shape[1])), 2 * largest_offset(depth.shape[1]) + 1
     found = []
     for axis in (0, 1):
         across = np.abs(np.diff(image, axis=axis)).max(axis=2)
@@ -158,7 +163,7 @@ def _frame_edges(color: NDArray[np.uint8], depth: NDArray[np.float32], rng: np.r
 def _scores(each: _Edges, zoom: float, most_lost: int) -> NDArray[np.float64]:
     """Return summed scores (lost pixels, offset rows, offset columns) of one frame's edges of one kind."""
     height, width = each.across_color.shape
-    reach = _reach(width)
+    reach = largest_offset(width)
     size = 2 * reach + 1
     scores = np.zeros((most_lost + 1, size, size))
     windows = np.lib.stride_tricks.sliding_window_view(each.across_color, (size, size))
@@ -172,11 +177,6 @@ def _scores(each: _Edges, zoom: float, most_lost: int) -> NDArray[np.float64]:
         move = (lost * each.outwards, 0) if each.axis == 0 else (0, lost * each.outwards)
         scores[lost] = windows[rows + move[0], columns + move[1]].sum(axis=0)
     return scores
-
-
-def _reach(width: int) -> int:
-    """Return how far offsets are looked for, pixels."""
-    return max(LARGEST_OFFSET_PX, width // 30)
 
 
 def _edges_behind(nearness: NDArray[np.float32], axis: int, gap: int) -> NDArray[np.bool_]:

@@ -45,6 +45,12 @@ class FrameFacts:
         return self.pose is not None and self.valid_share > 0
 
 
+def typical_depth(facts: list[FrameFacts]) -> float:
+    """Return the median depth over frames that have any, metres."""
+    thumbnails = [each.thumbnail[each.thumbnail > 0] for each in facts if each.thumbnail is not None]
+    return float(np.median(np.concatenate(thumbnails)))
+
+
 def read_frames(dataset: Dataset, frame_ids: tuple[int, ...], done: Callable[[], None]) -> list[FrameFacts]:
     """Read all parts of the frames, several at a time; ``done`` is called after each."""
     with ThreadPoolExecutor(min(8, os.cpu_count() or 1)) as pool:

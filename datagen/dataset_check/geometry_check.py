@@ -13,7 +13,7 @@ from datagen.dataset_check.diagnosis import LEAST_GAIN, Verdict, compare
 from datagen.dataset_check.explanation import FAULT_NAMES, findings_of
 from datagen.dataset_check.findings import AMBIGUOUS, CANNOT_TELL, Finding
 from datagen.dataset_check.fitting import Judge
-from datagen.dataset_check.frame_facts import FrameFacts
+from datagen.dataset_check.frame_facts import FrameFacts, typical_depth
 from datagen.dataset_check.mesh_evidence import MeshEvidence
 from datagen.dataset_check.pair_evidence import PairEvidence
 from datagen.dataset_check.pair_selection import choose_pairs
@@ -64,9 +64,7 @@ def check_geometry(
 
 def _load_views(dataset: Dataset, usable: list[FrameFacts]) -> tuple[Views, np.ndarray]:
     poses = np.array([each.pose for each in usable]).reshape(-1, 4, 4)
-    thumbnails = [each.thumbnail[each.thumbnail > 0] for each in usable if each.thumbnail is not None]
-    typical = float(np.median(np.concatenate(thumbnails)))
-    pairs = choose_pairs(poses, anchors=ANCHORS, depth=typical)
+    pairs = choose_pairs(poses, anchors=ANCHORS, depth=typical_depth(usable))
     spread = np.linspace(0, len(usable) - 1, min(2 * ANCHORS, len(usable))).round().astype(np.int64)
     positions = np.unique(pairs) if len(pairs) else np.unique(spread)
     depth = np.array([dataset.depth(usable[i].frame_id) for i in positions])
