@@ -1,5 +1,7 @@
 """Wheels: which ones are asked for, where they come from, what they say of themselves."""
 
+import hashlib
+import re
 import shutil
 import subprocess
 import sys
@@ -87,7 +89,11 @@ def download_wheels(platform: Platform, python: BlenderPython, folder: Path) -> 
 
 
 def build_own_wheel(folder: Path) -> Wheel:
-    """Return Scanback's own wheel, built by pip from a clean copy of this checkout into ``folder``."""
+    """Return Scanback's own wheel, built by pip from a clean copy of this checkout into ``folder``.
+
+    Its version ends with a digest of the sources: Blender unpacks no wheel of a name and version that it has unpacked
+    before, so another zip of the same version would be installed with the old code.
+    """
     for old in folder.glob("scanback-*.whl"):
         old.unlink()
     with tempfile.TemporaryDirectory() as temporary:
@@ -98,6 +104,10 @@ def build_own_wheel(folder: Path) -> Wheel:
                 shutil.copytree(source, copy / name, ignore=shutil.ignore_patterns("__pycache__"))
             else:
                 shutil.copy(source, copy / name)
+        project = copy / "pyproject.toml"
+        text = project.read_text(encoding="utf-8")
+        numbered = re.sub(r'^(version = "[^"]+)"', rf'\1+{_digest(copy)}"', text, count=1, flags=re.MULTILINE)
+        project.write_text(numbered, encoding="utf-8")
         command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--disable-pip-version-check", "--no-deps"]
         command += [f"--wheel-dir={folder}", str(copy)]
         done = subprocess.run(command, capture_output=True, text=True, check=False)  # noqa: S603
@@ -105,6 +115,15 @@ def build_own_wheel(folder: Path) -> Wheel:
         raise InputError(f"{CHECKOUT}: pip cannot build Scanback's wheel:\n{done.stderr.strip()}")
     (built,) = folder.glob("scanback-*.whl")
     return Wheel(built)
+
+
+def _digest(folder: Path) -> str:
+    """Return twelve hexadecimal digits that change with any file in ``folder`` or its name."""
+    digest = hashlib.sha256()
+    for path in sorted(path for path in folder.rglob("*") if path.is_file()):
+        content = path.read_bytes()
+        digest.update(f"{path.relative_to(folder).as_posix()} {len(content)} ".encode() + content)
+    return digest.hexdigest()[:12]
 
 
 def _complete(pins: dict[str, Version], folder: Path) -> list[Wheel] | None:
