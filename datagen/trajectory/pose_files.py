@@ -12,9 +12,9 @@ from datagen.dataset import read_pose
 from datagen.dataset_format import FRAMES_FOLDER
 from datagen.errors import InputError
 from datagen.formats.frame_numbers import frame_numbers, natural_order
+from datagen.formats.open3d_log import read_log
 from datagen.formats.quaternions import pose_from_quat_wxyz
-from datagen.formats.text_table import Row, read_rows
-from datagen.rigid import rigid
+from datagen.formats.text_table import read_rows
 
 TUM_LINE = "t tx ty tz qx qy qz qw"
 POSE_FILE_PATTERNS = ("*.pose.txt", f"{FRAMES_FOLDER}/*.pose.txt", "*.txt")
@@ -80,21 +80,8 @@ def _read_tum(path: Path) -> Recording:
 
 
 def _read_open3d_log(path: Path) -> Recording:
-    rows = read_rows(path)
-    matrices = []
-    for start in range(0, len(rows), 5):
-        block = rows[start : start + 5]
-        if len(block) < 5:
-            raise block[0].error(f"the last pose has {len(block)} lines, expected 5: three numbers, then a 4×4 matrix")
-        matrix = np.array([_matrix_row(row) for row in block[1:]])
-        matrices.append(rigid(matrix, source=f"{path}, line {block[1].line}"))
+    matrices = read_log(path)
     return _recording(path, np.arange(len(matrices), dtype=np.float64), matrices, is_timed=False)
-
-
-def _matrix_row(row: Row) -> NDArray[np.float64]:
-    if len(row.fields) != 4:
-        raise row.error(f"found {len(row.fields)} numbers, expected 4, a row of a pose's 4×4 matrix")
-    return row.numbers(row.fields, "a row of a pose's 4×4 matrix")
 
 
 def _pose_files(folder: Path) -> list[Path]:

@@ -142,7 +142,7 @@ def test_an_unusable_file_is_named_with_its_line(tmp_path, tum_file, log_file, p
             read_recording(tum_file)
     log = log_file.read_text().splitlines()
     for text, complaint in (
-        (log[:-1], "line 21: the last pose has 4 lines, expected 5"),
+        (log[:-1], "line 24: the file ends within a pose"),
         ([*log[:2], "0 1 0", *log[3:]], "line 3: found 3 numbers, expected 4"),
         ([log[0], "2 0 0 0", "0 2 0 0", "0 0 2 0", "0 0 0 1"], "line 2: the pose is not rigid"),
     ):
