@@ -11,6 +11,7 @@ from datagen.dataset import Dataset
 from datagen.rendering.render_job import DEVICES, render_dataset
 from datagen.rendering.render_workers import FRAMES_PER_WORKER
 from datagen.rendering.shards import parse_shard
+from datagen.scene_spec.objects import MODEL_SUFFIXES
 from datagen.scene_spec.render_settings import PRESETS
 from datagen.scene_spec.scene import Scene
 from datagen.scene_spec.scene_files import load_scene, shipped_scenes, with_render_settings
@@ -20,7 +21,10 @@ def add_command(commands: Any) -> None:
     """Add the command to the parser's ``commands``."""
     render = commands.add_parser("render", help="render a scene into a dataset; goes on where a killed run stopped")
     render.add_argument(
-        "scene", metavar="SCENE", help=f"one of: {', '.join(shipped_scenes())}; or a scene file (.toml)"
+        "scene",
+        metavar="SCENE",
+        help=f"one of: {', '.join(shipped_scenes())}; a scene file (.toml); or a model or .blend: "
+        f"{', '.join(MODEL_SUFFIXES)}",
     )
     render.add_argument("out", metavar="OUT", type=Path, help="folder of the dataset")
     render.add_argument("--frames", type=int, metavar="N", help="number of frames; the path stays the same")
