@@ -1,15 +1,14 @@
 """How often, how exactly and how fast is a view located? Ours, Open3D's ICP and small_gicp from the same starts.
 
-    fusion reconstruct DATASET RECONSTRUCTION --frames ::2
-    python benchmarks/pose.py DATASET RECONSTRUCTION
-    python benchmarks/pose.py DATASET RECONSTRUCTION --noise kinect-v1 --occlude 0.3 --perturb 40:0.16
-    python benchmarks/pose.py DATASET RECONSTRUCTION --start nearest --stages silhouette
+    fusion pose-benchmark DATASET OUT
+    python benchmarks/pose.py DATASET OUT
+    python benchmarks/pose.py DATASET OUT --trials off-40,noisy --frames ::10
 
-Queries are the dataset's frames that were not fused. A start is the true pose, turned by an angle about a random axis
-through the model's middle and shifted by a length in a random direction (as Diff-DOPE's), or that of the nearest fused
-frame. The peers get the model's vertices with their normals and colours and the query's points, at two widths of
-correspondence as their tutorials do, wide and then narrow. Errors are those of the model in the camera's frame: the
-angle, and how far the model's middle is off. ``--camera-errors`` gives the camera's place instead, for rooms.
+Models, queries, starts, noise and errors are those of ``fusion pose-benchmark``, whose folder OUT is: what it fused is
+not fused again. Every contender gets the same task. The peers get the model's vertices with their normals and colours
+and as many of the query's points as we take ourselves, within the mask if there is one, at two widths of
+correspondence as their tutorials do, wide and then narrow. Where the protocol has no start of its own but what our
+search for the nearest pose finds, all start there.
 
 Times are processor time over the cores that ``--cores`` says share it, so that a busy machine does not count twice;
 "wall" is the clock's. Preparing the model, once, is in neither.
@@ -17,67 +16,45 @@ Times are processor time over the cores that ``--cores`` says share it, so that 
 
 import argparse
 import sys
-import time
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 # Run as a script, this folder would hide the package that it measures: it has a file of that name.
 sys.path[:] = [entry for entry in sys.path if Path(entry or ".").resolve() != Path(__file__).resolve().parent]
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from datagen.atomic_write import write_json
+from datagen.errors import InputError
+from datagen.frame_selection import select_frames
 from datagen.open_dataset import open_dataset
-from datagen.rigid import inverse, rotation_angle_deg, transform_points
-from datagen.scene_spec.sensor_settings import SensorSettings
-from datagen.sensors.simulate_depth import simulate_depth
 from fusion.devices import resolve_device
+from fusion.evaluation.pose_errors import recall, within
 from fusion.pose.depth_refinement import DepthRefinementOptions, refine_with_depth
-from fusion.pose.epipolar import ReferenceFrame, rectify
-from fusion.pose.pose_model import prepare_model
-from fusion.pose.query import Query, query_cloud
-from fusion.pose.se3 import perturb
-from fusion.pose.silhouette_refinement import refine_with_silhouette
-from fusion.pose.verdict import judge
-from fusion.reconstruction_files import read_record
-from fusion.surface.marching_cubes import marching_cubes
-from fusion.volume.volume_file import load_volume
+from fusion.pose.query import query_cloud
+from fusion.pose.stages import refine
+from fusion.pose_benchmark.protocol import chosen_trials, parse_trials, trials_of
+from fusion.pose_benchmark.run_case import Case, make_task, pose_errors, timed
+from fusion.pose_benchmark.scanned_subject import scanned_subject
+from fusion.pose_benchmark.ycb_video import is_ycb_video, ycb_video_subjects
 
-SEED = 6
 PEER_POINTS = 8000
-MASK_JITTER_PX = 2
 
 
-class Task:
-    """One query: what the contenders are given, and the truth."""
-
-    def __init__(self, query, start, truth, references):
-        self.query, self.start, self.truth, self.references = query, start, truth, references
+# --- contenders: each takes the model and gives a function from a task to world_from_camera ---------------------------
 
 
-# --- contenders: each takes the model and gives a function from a task to a pose --------------------------------------
-
-
-def scanback_depth(model, _options):
-    return lambda task: refine_with_depth(model, task.query, task.start)
-
-
-def scanback_depth_one_start(model, _options):
-    options = DepthRefinementOptions(starts="one")
-    return lambda task: refine_with_depth(model, task.query, task.start, options=options)
-
-
-def scanback_silhouette(model, _options):
+def scanback(model, _options):
     def locate(task):
-        depth = task.query.depth
-        mask = task.query.mask if task.query.mask is not None else depth > 0
-        return refine_with_silhouette(model, Query(camera=task.query.camera, mask=mask), task.start)
+        return refine(model, task.query, task.references, task.start, task.case.trial.stages)[-1].world_from_camera
 
     return locate
 
 
-def scanback_epipolar(model, _options):
-    return lambda task: rectify(model, task.query, task.references, task.start)
+def scanback_one_start(model, _options):
+    options = DepthRefinementOptions(starts="one")
+    return lambda task: refine_with_depth(model, task.query, task.start, options=options).world_from_camera
 
 
 def _points(model, task):
@@ -109,13 +86,16 @@ def open3d_icp(model, _options, *, colored=False):
             if colored and step == 1:
                 source.estimate_normals(o3d.geometry.KDTreeSearchParamHybrid(radius=4 * model.voxel_size, max_nn=20))
                 estimation = registration.TransformationEstimationForColoredICP()
-                pose = registration.registration_colored_icp(
-                    source, target, width, pose, estimation, criteria
-                ).transformation
+                try:
+                    pose = registration.registration_colored_icp(
+                        source, target, width, pose, estimation, criteria
+                    ).transformation
+                except RuntimeError:  # no correspondence is left: it keeps what it has
+                    continue
             else:
                 estimation = registration.TransformationEstimationPointToPlane()
                 pose = registration.registration_icp(source, target, width, pose, estimation, criteria).transformation
-        return pose
+        return np.array(pose)
 
     return locate
 
@@ -147,7 +127,7 @@ def small_gicp(model, options, *, kind="PLANE_ICP"):
                 num_threads=threads,
                 max_iterations=60,
             ).T_target_source
-        return pose
+        return np.array(pose)
 
     return locate
 
@@ -156,116 +136,117 @@ def small_gicp_generalised(model, options):
     return small_gicp(model, options, kind="GICP")
 
 
-OURS = {
-    "depth": {"scanback, depth": scanback_depth, "scanback, one start": scanback_depth_one_start},
-    "silhouette": {"scanback, silhouette": scanback_silhouette},
-    "epipolar": {"scanback, epipolar": scanback_epipolar},
-}
-PEERS = {
-    "Open3D ICP, point to plane": open3d_icp,
-    "Open3D ICP, coloured": open3d_colored_icp,
-    "small_gicp, point to plane": small_gicp,
-    "small_gicp, GICP": small_gicp_generalised,
-}
-
-
-# --- tasks ------------------------------------------------------------------------------------------------------------
-
-
-def random_direction(rng):
-    way = rng.normal(size=3)
-    return way / np.linalg.norm(way)
-
-
-def noisy(depth, camera, options, rng):
-    """Return sensor depth, and the mask that a careless segmentation gives of what an occluder leaves."""
-    mask = depth > 0
-    if options.noise:
-        depth = simulate_depth(depth, camera, SensorSettings(model=options.noise), rng=rng)
-        kernel = np.ones((2 * rng.integers(1, MASK_JITTER_PX + 1) + 1,) * 2, np.uint8)
-        mask = (cv2.dilate if rng.random() < 0.5 else cv2.erode)(mask.astype(np.uint8), kernel) > 0
-    if options.occlude:
-        v, u = np.mgrid[: camera.height, : camera.width]
-        angle = rng.uniform(0, 2 * np.pi)
-        across = u * np.cos(angle) + v * np.sin(angle)
-        hidden = across < np.quantile(across[mask], rng.uniform(0, options.occlude))
-        depth = np.where(hidden, 0.6 * np.median(depth[depth > 0]), depth)
-        mask &= ~hidden
-    return depth.astype(np.float32), mask
-
-
-def make_tasks(dataset, record, model, options):
-    fused = [frame.frame for frame in record.trajectory]
-    poses = {frame: dataset.world_from_camera(frame) for frame in fused}
-    queries = [frame for frame in dataset.frame_ids if frame not in poses][:: options.every]
-    for frame in queries:
-        rng = np.random.default_rng([SEED, frame])
-        truth = dataset.world_from_camera(frame)
-        near = sorted(fused, key=lambda other: _apart(poses[other], truth, model.diameter))[:2]
-        if options.start == "nearest":
-            start = poses[near[0]]
-        else:
-            turn, shift = options.perturb
-            twist = np.concatenate([shift * random_direction(rng), np.radians(turn) * random_direction(rng)])
-            start = perturb(twist, truth, pivot_world=model.centre_world)
-        depth, mask = noisy(dataset.depth(frame), dataset.camera, options, rng)
-        query = Query(
-            camera=dataset.camera,
-            depth=depth,
-            color=dataset.color(frame),
-            mask=mask if options.noise or options.occlude else None,
-        )
-        references = []
-        if "epipolar" in options.stages:
-            references = [
-                ReferenceFrame(
-                    camera=dataset.camera,
-                    color=dataset.color(other),
-                    depth=dataset.depth(other),
-                    world_from_camera=poses[other],
-                )
-                for other in near
-            ]
-        yield Task(query, start, truth, references)
-
-
-def _apart(one, other, size):
-    return np.linalg.norm(one[:3, 3] - other[:3, 3]) / size + np.radians(rotation_angle_deg(inverse(one) @ other))
-
-
-def errors(found, truth, model, options):
-    """Return the angle (degrees), and how far the model's middle, or the camera, is off (millimetres)."""
-    angle = rotation_angle_deg(inverse(found) @ truth)
-    if options.camera_errors:
-        return angle, 1000 * np.linalg.norm(found[:3, 3] - truth[:3, 3])
-    middle = transform_points(inverse(truth), model.centre_world)
-    return angle, 1000 * np.linalg.norm(transform_points(inverse(found), model.centre_world) - middle)
+def contenders(trial, model, options):
+    """Return {name: maker} of those that can do a trial: ICP needs depth, and colour where it is coloured."""
+    ours = {f"scanback, {','.join(trial.stages)}": scanback}
+    if trial.stages == ("depth",):
+        ours["scanback, depth, one start"] = scanback_one_start
+    if options.no_peers or trial.sees == "mask":
+        return ours
+    peers = {
+        "Open3D ICP, point to plane": open3d_icp,
+        "Open3D ICP, coloured": open3d_colored_icp,
+        "small_gicp, point to plane": small_gicp,
+        "small_gicp, GICP": small_gicp_generalised,
+    }
+    if model.mesh.colors is None or not model.mesh.colors.any():
+        del peers["Open3D ICP, coloured"]
+    return ours | peers
 
 
 # --- the run ----------------------------------------------------------------------------------------------------------
 
 
-def measure(name, make, model, tasks, options):
-    locate = make(model, options)
+@dataclass(frozen=True, kw_only=True)
+class Line:
+    """One contender in one trial."""
+
+    subject: str
+    trial: str
+    contender: str
+    queries: int
+    within_1cm_1deg: float
+    within_5cm_5deg: float
+    add_s_tenth: float | None
+    median_deg: float
+    median_mm: float
+    ninety_percent_deg: float
+    ninety_percent_mm: float
+    processor_ms: float
+    wall_ms: float
+
+
+def measure(subject, trial, name, make, tasks, options):
+    locate = make(subject.model, options)
     locate(tasks[0])  # compiles, fills caches
-    off, processor, wall, answers = [], [], [], []
+    found, costs = [], []
     for task in tasks:
-        before, clock = time.process_time(), time.perf_counter()
-        found = locate(task)
-        processor.append(time.process_time() - before)
-        wall.append(time.perf_counter() - clock)
-        if hasattr(found, "world_from_camera"):
-            answers.append(judge(found).answer)
-            found = found.world_from_camera
-        off.append(errors(found, task.truth, model, options))
-    off = np.array(off)
-    strict = (off[:, 0] < 1) & (off[:, 1] < 10)
-    loose = (off[:, 0] < 5) & (off[:, 1] < 50)
-    sure = f"{np.mean([answer == 'found' for answer in answers]):7.0%}" if answers else "      –"
+        pose, cost = timed(lambda task=task: locate(task))
+        costs.append(cost)
+        found.append(pose_errors(task, pose))
+    turned = np.array([error.rotation_deg for error in found])
+    moved = np.array([error.translation_m for error in found])
+    of_diameter = [error.add_s_m / subject.points.diameter for error in found if error.add_s_m is not None]
+    return Line(
+        subject=subject.name,
+        trial=trial.name,
+        contender=name,
+        queries=len(tasks),
+        within_1cm_1deg=within(turned, moved, degrees=1, metres=0.01),
+        within_5cm_5deg=within(turned, moved, degrees=5, metres=0.05),
+        add_s_tenth=recall(of_diameter, below=0.1) if of_diameter else None,
+        median_deg=float(np.median(turned)),
+        median_mm=1000 * float(np.median(moved)),
+        ninety_percent_deg=float(np.quantile(turned, 0.9)),
+        ninety_percent_mm=1000 * float(np.quantile(moved, 0.9)),
+        processor_ms=1000 * float(np.median([cost.processor_s for cost in costs])) / options.cores,
+        wall_ms=1000 * float(np.median([cost.wall_s for cost in costs])),
+    )
+
+
+def subjects_of(options, device):
+    if is_ycb_video(options.dataset):
+        return ycb_video_subjects(options.dataset, voxel_size=options.voxel_size, device=device)
+    dataset = open_dataset(options.dataset)
+    subject = scanned_subject(
+        dataset,
+        options.out / "models" / options.dataset.resolve().name,
+        kind="room" if dataset.ground_truth_mesh is None else "object",
+        fuse=options.fuse,
+        voxel_size=options.voxel_size,
+        device=device,
+    )
+    return [subject]
+
+
+def tasks_of(subject, trial, options):
+    tasks = []
+    for frame in select_frames(subject.queries, options.frames):
+        for repeat in range(trial.repeats):
+            case = Case(subject=subject, trial=trial, frame=frame, repeat=repeat, seed=options.seed)
+            try:
+                tasks.append(make_task(case))
+            except InputError as error:
+                print(f"frame {frame} has no start: {error}")
+    return tasks
+
+
+def header(subject, trial, tasks):
+    model = subject.model
+    print(f"\n{subject.name}, {trial.title}: {len(tasks)} queries, voxels of {1000 * model.voxel_size:g} mm")
     print(
-        f"{name:28s} {strict.mean():8.1%} {loose.mean():8.1%} {np.median(off[:, 0]):9.4f} {np.median(off[:, 1]):9.4f}"
-        f" {np.quantile(off[:, 0], 0.9):8.3f} {np.quantile(off[:, 1], 0.9):8.3f}"
-        f" {1000 * np.median(processor) / options.cores:8.0f} {1000 * np.median(wall):8.0f} {sure}",
+        f"{'':28s} {'1cm 1°':>8s} {'5cm 5°':>8s} {'ADD-S':>7s} {'median °':>9s} {'mm':>9s} {'90 % °':>8s} {'mm':>8s}",
+        end="",
+    )
+    print(f" {'cpu ms':>8s} {'wall ms':>8s}")
+
+
+def show(line):
+    add_s = "–" if line.add_s_tenth is None else f"{line.add_s_tenth:.1%}"
+    print(
+        f"{line.contender:28s} {line.within_1cm_1deg:8.1%} {line.within_5cm_5deg:8.1%} {add_s:>7s}"
+        f" {line.median_deg:9.4f} {line.median_mm:9.4f} {line.ninety_percent_deg:8.3f} {line.ninety_percent_mm:8.3f}"
+        f" {line.processor_ms:8.0f} {line.wall_ms:8.0f}",
         flush=True,
     )
 
@@ -273,36 +254,27 @@ def measure(name, make, model, tasks, options):
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("dataset", type=Path)
-    parser.add_argument("reconstruction", type=Path)
-    parser.add_argument("--start", choices=("perturbed", "nearest"), default="perturbed")
-    parser.add_argument(
-        "--perturb",
-        type=lambda text: tuple(map(float, text.split(":"))),
-        default=(10.0, 0.04),
-        metavar="DEG:M",
-    )
-    parser.add_argument("--noise", choices=("kinect-v1", "realsense-d435"))
-    parser.add_argument("--occlude", type=float, default=0.0, metavar="SHARE", help="of the mask, at most")
-    parser.add_argument("--stages", nargs="+", choices=tuple(OURS), default=["depth"])
-    parser.add_argument("--every", type=int, default=1, metavar="N", help="take every Nth query")
-    parser.add_argument("--camera-errors", action="store_true", help="of the camera's place, for rooms")
+    parser.add_argument("out", type=Path, help="the folder of fusion pose-benchmark, or a new one")
+    parser.add_argument("--trials", help="with commas between; all by default")
+    parser.add_argument("--frames", metavar="SLICE", help="of those that are not fused")
+    parser.add_argument("--fuse", metavar="SLICE")
+    parser.add_argument("--voxel-size", type=float, metavar="M")
+    parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--cores", type=int, default=2)
     parser.add_argument("--no-peers", action="store_true")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the numbers there too")
     options = parser.parse_args()
-    device = resolve_device("cpu")
-    volume = load_volume(options.reconstruction / "volume.npz", device=device)
-    model = prepare_model(volume, mesh=marching_cubes(volume, normals=True))
-    dataset, record = open_dataset(options.dataset), read_record(options.reconstruction)
-    tasks = list(make_tasks(dataset, record, model, options))
-    print(f"{len(tasks)} queries, voxels of {1000 * model.voxel_size:g} mm, model {model.diameter:.2f} m across")
-    print(f"{'':28s} {'1cm 1°':>8s} {'5cm 5°':>8s} {'median °':>9s} {'mm':>9s} {'90 % °':>8s} {'mm':>8s}", end="")
-    print(f" {'cpu ms':>8s} {'wall ms':>8s} {'found':>7s}")
-    for stage in options.stages:
-        for name, make in OURS[stage].items():
-            measure(name, make, model, tasks, options)
-    if not options.no_peers:
-        for name, make in PEERS.items():
-            measure(name, make, model, tasks, options)
+    lines = []
+    for subject in subjects_of(options, resolve_device("cpu")):
+        width = subject.view(subject.queries[0]).camera.width
+        for trial in chosen_trials(trials_of(subject.kind, width_px=width), parse_trials(options.trials)):
+            tasks = tasks_of(subject, trial, options)
+            header(subject, trial, tasks)
+            for name, make in contenders(trial, subject.model, options).items():
+                lines.append(measure(subject, trial, name, make, tasks, options))
+                show(lines[-1])
+                if options.json is not None:
+                    write_json(options.json, [asdict(line) for line in lines])
 
 
 if __name__ == "__main__":

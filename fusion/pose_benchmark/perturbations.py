@@ -30,6 +30,9 @@ def perturbed(
     truth: Matrix, perturbation: Perturbation, *, pivot_world: NDArray[np.floating], rng: np.random.Generator
 ) -> Matrix:
     """Return a world_from_camera that is off from ``truth`` as ``perturbation`` says, about ``pivot_world`` (3,)."""
-    shift = perturbation.metres * random_direction(rng)
-    turn = np.radians(perturbation.degrees) * random_direction(rng)
-    return perturb(np.concatenate([shift, turn]), truth, pivot_world=pivot_world)
+    twist = np.zeros(6)
+    twist[3:] = np.radians(perturbation.degrees) * random_direction(rng)
+    start = perturb(twist, truth, pivot_world=pivot_world)
+    # Shifted after it was turned: together in one twist, the turn would bend the shift and shorten it.
+    start[:3, 3] += perturbation.metres * random_direction(rng)
+    return start

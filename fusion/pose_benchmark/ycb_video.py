@@ -135,7 +135,7 @@ def _read_meta(path: Path) -> _Meta:
         poses = np.asarray(content["poses"], np.float64)
         factor = float(content["factor_depth"].ravel()[0])
         intrinsics = np.asarray(content["intrinsic_matrix"], np.float64)
-    except (OSError, ValueError, KeyError, TypeError, IndexError) as error:
+    except (OSError, scipy.io.matlab.MatReadError, ValueError, KeyError, TypeError, IndexError) as error:
         raise InputError(f"{path}: cannot be read as YCB-Video's ({type(error).__name__}: {error})") from error
     if poses.shape != (3, 4, len(labels)) or intrinsics.shape != (3, 3) or not factor > 0:
         raise InputError(f"{path}: expected {len(labels)} poses of 3×4, 3×3 intrinsics and a positive factor_depth")
