@@ -144,7 +144,7 @@ def test_an_unusable_file_is_named_with_its_line(tmp_path, tum_file, log_file, p
     for text, complaint in (
         (log[:-1], "line 24: the file ends within a pose"),
         ([*log[:2], "0 1 0", *log[3:]], "line 3: found 3 fields, expected a row of a 4×4"),
-        ([log[0], "2 0 0 0", "0 2 0 0", "0 0 2 0", "0 0 0 1"], "line 2: the pose is not rigid"),
+        ([log[0], "2 0 0 0", "0 2 0 0", "0 0 2 0", "0 0 0 1"], "line 1: the pose is not rigid"),
     ):
         log_file.write_text("\n".join(text))
         with pytest.raises(InputError, match=f"path.log, {complaint}"):
