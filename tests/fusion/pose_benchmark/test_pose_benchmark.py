@@ -123,7 +123,7 @@ def test_table_page_and_pictures_tell_the_same(done):
         if row["at_most"] is not None:
             assert row["passed"] == (row["reached"] <= row["at_most"])
     sources = re.findall(r'(?:src|href)="([^"]{0,30})', page)
-    assert all(source.startswith(("data:image/png;base64,", "#")) for source in sources)
+    assert all(source.startswith(("data:image/png;base64,", "data:image/jpeg;base64,", "#")) for source in sources)
     pictures = {path.name for path in (done / "pictures" / "boxes").glob("*.png")}
     trials = ("clean", "off-10", "noisy")
     assert pictures == {"histograms.png", *(f"{t}-{which}.png" for t in trials for which in ("typical", "worst"))}
