@@ -94,7 +94,7 @@ def _solve_cells(
         cell_number(grid, layer, lowest_bit(active)),
         float(corner[0]),
         float(corner[1]),
-        float(corner[2]),
+        float(corner[2] + (layer & 7)),
         voxels,
         voxel_size,
         places,

@@ -9,7 +9,7 @@ from fusion.devices import Kernel, launch_in_slabs
 from fusion.surface.dual_contouring.dual_grid import Counts, DualGrid
 from fusion.surface.dual_contouring.oracle import Oracle, is_known, next_question
 from fusion.surface.dual_contouring.qef import INSET
-from fusion.surface.layers import NONE, lowest_bit, number_of, step_along, voxel_of
+from fusion.surface.layers import NONE, Cells, launch_over_layers, lowest_bit, number_of, step_along, voxel_of
 from fusion.volume.tsdf_volume import Volume
 from fusion.volume.voxels import Voxels, distance_of
 
@@ -23,28 +23,45 @@ LEAST_GUESS = wp.constant(0.05)
 MOST_QUESTIONS = wp.constant(14)
 
 
-@wp.func
-def crossing_along(voxels: Voxels, grid: DualGrid, slot: int, x: int, y: int, z: int, axis: int) -> float:
-    """Return where the trilinear field, which is linear there, crosses the edge from a voxel."""
-    step = step_along(axis)
-    a = distance_of(voxels, voxel_of(grid.cells, slot, x, y, z))
-    b = distance_of(voxels, voxel_of(grid.cells, slot, x + step[0], y + step[1], z + step[2]))
-    return wp.clamp(a / (a - b), _LOWEST, _HIGHEST)
+# In C++ for its local arrays: where the layers of the blocks around begin is looked up once for all edges.
+_CROSS_EDGES_IN_CPP = (
+    f"constexpr float LOWEST = {INSET}f, HIGHEST = 1.0f - {INSET}f;"
+    + """
+    size_t rows[8];
+    const bool numbered = cells.numbers.shape[0] > 0, packed = voxels.packed.shape[0] > 0;
+    for (int corner = 0; corner < 8; ++corner) {
+        const int holder = cells.upper.data[8 * slot + ((corner & 3) | (z == 7 ? corner & 4 : 0))];
+        const int number = holder < 0 || !numbered ? holder : cells.numbers.data[holder];
+        rows[corner] = 512 * (size_t)(number < 0 ? 0 : number) + 64 * ((z + (corner >> 2)) & 7);
+    }
+    auto distance = [&](size_t voxel) {
+        if (packed) return (float)(short)voxels.packed.data[voxel];
+        return voxels.distance_sum.data[voxel] / voxels.weight.data[voxel];
+    };
+    for (int axis = 0; axis < 3; ++axis) {
+        for (wp::uint64 left = cells.edges.data[3 * (8 * (size_t)slot + z) + axis]; left != 0; left &= left - 1) {
+            const int bit = wp::bit_count((left - 1) & ~left);
+            const int x = (bit & 7) + (axis == 0), y = (bit >> 3) + (axis == 1);
+            const size_t on = rows[(x >> 3) | ((y >> 3) << 1) | (axis == 2 ? 4 : 0)] + 8 * (y & 7) + (x & 7);
+            const float a = distance(rows[0] + bit), b = distance(on), at = a / (a - b);
+            along.data[edge++] = at < LOWEST ? LOWEST : at > HIGHEST ? HIGHEST : at;
+        }
+    }
+"""
+)
+
+
+@wp.func_native(_CROSS_EDGES_IN_CPP)
+def cross_edges(cells: Cells, slot: int, z: int, voxels: Voxels, edge: int, along: wp.array(dtype=float)) -> None:
+    """Write where the trilinear field, which is linear there, crosses a layer's edges, from number ``edge`` on."""
 
 
 @wp.kernel
-def _cross_edges(first: int, grid: DualGrid, voxels: Voxels, along: wp.array(dtype=float)) -> None:
+def _cross_edges(first: int, cells: Cells, voxels: Voxels, along: wp.array(dtype=float)) -> None:
     layer = wp.tid() + first
-    edge = grid.cells.starts[layer][0]
-    if edge == grid.cells.starts[layer + 1][0]:
-        return
-    for axis in range(3):
-        left = grid.cells.edges[layer, axis]
-        while left != NONE:
-            bit = lowest_bit(left)
-            along[edge] = crossing_along(voxels, grid, layer >> 3, bit & 7, bit >> 3, layer & 7, axis)
-            edge += 1
-            left = left & (left - wp.uint64(1))
+    edge = cells.starts[layer][0]
+    if edge != cells.starts[layer + 1][0]:
+        cross_edges(cells, layer >> 3, layer & 7, voxels, edge, along)
 
 
 @cache
@@ -128,9 +145,7 @@ def edge_points(volume: Volume, grid: DualGrid, counts: Counts, oracle: Oracle |
     along = wp.empty(counts.edges, dtype=float, device=device)
     layers = len(grid.cells.starts) - 1
     if oracle is None:
-        launch_in_slabs(
-            _cross_edges, dim=layers, inputs=[grid, volume.voxels], outputs=[along], device=device, least_slab=256
-        )
+        launch_over_layers(_cross_edges, dim=layers, inputs=[grid.cells, volume.voxels], outputs=[along], device=device)
         return along
     launch_in_slabs(
         search_kernel(oracle.value, oracle.state_type),

@@ -1,6 +1,6 @@
 """The point that is nearest to several planes: a quadratic error function, minimised within a cell.
 
-In C++, for its local arrays: this is most of the work of dual contouring.
+In C++, for several cells at once: this is most of the work of dual contouring.
 """
 
 INSET = 1e-3
@@ -11,52 +11,93 @@ REGULARISATION = 0.003
 
 SWEEPS = 24
 
+ONE_CELL_IN_CPP = "using V = float;\n"
+"""C++ before ``QEF_IN_CPP``: numbers of a single cell."""
+
+LANES = 8
+
+LANES_IN_CPP = f"""
+#ifdef __CUDA_ARCH__
+    constexpr int LANES = 1;
+    using V = float;
+    using I = int;
+    using L = wp::uint64;
+    auto to_floats = [](I x) {{ return (float)x; }};
+    auto to_ints = [](L x) {{ return (int)(unsigned int)x; }};
+#else
+    constexpr int LANES = {LANES};
+    typedef float V __attribute__((ext_vector_type(LANES)));
+    typedef int I __attribute__((ext_vector_type(LANES)));
+    typedef unsigned long long L __attribute__((ext_vector_type(LANES)));
+    auto to_floats = [](I x) {{ return __builtin_convertvector(x, V); }};
+    auto to_ints = [](L x) {{ return __builtin_convertvector(x, I); }};
+#endif
+    struct {{
+        float *operator()(V &x) const {{ return (float *)&x; }}
+        const float *operator()(const V &x) const {{ return (const float *)&x; }}
+        wp::uint64 *operator()(L &x) const {{ return (wp::uint64 *)&x; }}
+    }} lanes_of;
+"""
+"""C++ before ``QEF_IN_CPP``: numbers ``V`` of as many cells as a vector instruction takes, on CUDA of one."""
+
 QEF_IN_CPP = (
     f"constexpr float LOWEST = {INSET}f, HIGHEST = 1.0f - {INSET}f, WEIGHT = {REGULARISATION}f;\n"
     f"constexpr int SWEEPS = {SWEEPS};\n"
     """
-    auto within = [](float x) { return x < LOWEST ? LOWEST : x > HIGHEST ? HIGHEST : x; };
     // Planes in voxels from the cell's lowest corner: with normals n and points p the sums of n n^T / n.n, of
     // n (n.p) / n.n, of n, and of p.
     struct Planes {
-        float xx = 0.0f, xy = 0.0f, xz = 0.0f, yy = 0.0f, yz = 0.0f, zz = 0.0f;
-        float offset[3] = {0.0f}, normal[3] = {0.0f}, points[3] = {0.0f}, planes = 0.0f, count = 0.0f;
+        V xx = 0.0f, xy = 0.0f, xz = 0.0f, yy = 0.0f, yz = 0.0f, zz = 0.0f;
+        V offset[3] = {0.0f, 0.0f, 0.0f}, normal[3] = {0.0f, 0.0f, 0.0f}, points[3] = {0.0f, 0.0f, 0.0f};
+        V planes = 0.0f, count = 0.0f;
     };
-    auto add_plane = [](Planes &all, const float *p, float x, float y, float z) {
-        for (int i = 0; i < 3; ++i) all.points[i] += p[i];
-        all.count += 1.0f;
-        const float size = x * x + y * y + z * z;
-        if (!(size > 0.0f)) return;
-        const float inverse = 1.0f / size, ux = inverse * x, uy = inverse * y, uz = inverse * z;
-        const float along = x * p[0] + y * p[1] + z * p[2];
-        all.xx += x * ux; all.xy += x * uy; all.xz += x * uz;
-        all.yy += y * uy; all.yz += y * uz; all.zz += z * uz;
-        all.offset[0] += along * ux; all.offset[1] += along * uy; all.offset[2] += along * uz;
-        all.normal[0] += x; all.normal[1] += y; all.normal[2] += z;
-        all.planes += 1.0f;
+    // The plane through the point ``along`` the edge from corner ``low``, with a normal n; none where ``on`` is 0.
+    auto add_plane = [](Planes &all, V on, int axis, int low, V along, const V *n) {
+        const V none = 0.0f, one = 1.0f, size = n[0] * n[0] + n[1] * n[1] + n[2] * n[2];
+        const V used = size > none ? on : none, inverse = used / (size > none ? size : one);
+        const V x = inverse * n[0], y = inverse * n[1], z = inverse * n[2];
+        V offset = along * n[axis];
+        for (int i = 0; i < 3; ++i)
+            if (i != axis && ((low >> i) & 1)) offset += n[i], all.points[i] += on;
+        all.points[axis] += on * along;
+        all.xx += x * n[0]; all.xy += x * n[1]; all.xz += x * n[2];
+        all.yy += y * n[1]; all.yz += y * n[2]; all.zz += z * n[2];
+        all.offset[0] += offset * x; all.offset[1] += offset * y; all.offset[2] += offset * z;
+        for (int i = 0; i < 3; ++i) all.normal[i] += used * n[i];
+        all.planes += used;
+        all.count += on;
     };
-    // The point in the cell with the least sum of squared distances to the planes, near the points' centroid.
-    auto nearest_to_planes = [&](const Planes &all, float *best) {
-        const float weight = WEIGHT * (all.planes + 1.0f), share = weight / all.count;
-        const float xx = all.xx + weight, yy = all.yy + weight, zz = all.zz + weight;
-        const float xy = all.xy, xz = all.xz, yz = all.yz;
-        float right[3];
-        for (int i = 0; i < 3; ++i) right[i] = all.offset[i] + share * all.points[i];
-        const float cxx = yy * zz - yz * yz, cxy = xz * yz - xy * zz, cxz = xy * yz - xz * yy;
-        const float cyy = xx * zz - xz * xz, cyz = xy * xz - xx * yz, czz = xx * yy - xy * xy;
-        const float inverse = 1.0f / (xx * cxx + xy * cxy + xz * cxz);
-        best[0] = inverse * (cxx * right[0] + cxy * right[1] + cxz * right[2]);
-        best[1] = inverse * (cxy * right[0] + cyy * right[1] + cyz * right[2]);
-        best[2] = inverse * (cxz * right[0] + cyz * right[1] + czz * right[2]);
+    // The normal equations: the point with the least sum of squared distances to the planes, near the points' centroid.
+    struct Equations { V xx, xy, xz, yy, yz, zz, right[3]; };
+    auto equations_of = [](const Planes &all) {
+        const V weight = WEIGHT * (all.planes + 1.0f), share = weight / all.count;
+        Equations e = {all.xx + weight, all.xy, all.xz, all.yy + weight, all.yz, all.zz + weight};
+        for (int i = 0; i < 3; ++i) e.right[i] = all.offset[i] + share * all.points[i];
+        return e;
+    };
+    auto solve = [](const Equations &e, V *best) {
+        const V cxx = e.yy * e.zz - e.yz * e.yz, cxy = e.xz * e.yz - e.xy * e.zz, cxz = e.xy * e.yz - e.xz * e.yy;
+        const V cyy = e.xx * e.zz - e.xz * e.xz, cyz = e.xy * e.xz - e.xx * e.yz, czz = e.xx * e.yy - e.xy * e.xy;
+        const V inverse = 1.0f / (e.xx * cxx + e.xy * cxy + e.xz * cxz);
+        best[0] = inverse * (cxx * e.right[0] + cxy * e.right[1] + cxz * e.right[2]);
+        best[1] = inverse * (cxy * e.right[0] + cyy * e.right[1] + cyz * e.right[2]);
+        best[2] = inverse * (cxz * e.right[0] + cyz * e.right[1] + czz * e.right[2]);
+    };
+    auto within = [](float x) { return x < LOWEST ? LOWEST : x > HIGHEST ? HIGHEST : x; };
+    // A lane's minimum over the cell, a coordinate at a time, where the minimum over all space lies outside it.
+    auto keep_within_cell = [&](const Equations &e, int lane, float *best) {
         bool inside = true;
         for (int i = 0; i < 3; ++i) inside &= best[i] >= LOWEST && best[i] <= HIGHEST;
         if (inside) return;
+        auto of_lane = [&](const V &x) { return ((const float *)&x)[lane]; };
+        const float xy = of_lane(e.xy), xz = of_lane(e.xz), yz = of_lane(e.yz);
+        const float ix = 1.0f / of_lane(e.xx), iy = 1.0f / of_lane(e.yy), iz = 1.0f / of_lane(e.zz);
+        const float right[3] = {of_lane(e.right[0]), of_lane(e.right[1]), of_lane(e.right[2])};
         for (int i = 0; i < 3; ++i) best[i] = within(best[i]);
-        // The minimum over a box, a coordinate at a time.
         for (int sweep = 0; sweep < SWEEPS; ++sweep) {
-            const float x = within((right[0] - xy * best[1] - xz * best[2]) / xx);
-            const float y = within((right[1] - xy * x - yz * best[2]) / yy);
-            const float z = within((right[2] - xz * x - yz * y) / zz);
+            const float x = within(ix * (right[0] - xy * best[1] - xz * best[2]));
+            const float y = within(iy * (right[1] - xy * x - yz * best[2]));
+            const float z = within(iz * (right[2] - xz * x - yz * y));
             const float dx = x - best[0], dy = y - best[1], dz = z - best[2];
             best[0] = x; best[1] = y; best[2] = z;
             if (dx * dx + dy * dy + dz * dz < 1e-10f) return;
@@ -64,4 +105,4 @@ QEF_IN_CPP = (
     };
 """
 )
-"""C++ for the top of a native function: ``Planes``, ``add_plane`` and ``nearest_to_planes``."""
+"""C++ for the top of a native function, after one that says what ``V`` is."""

@@ -13,60 +13,46 @@ import warp as wp
 
 from fusion.surface.dual_contouring.qef import INSET
 
-wp.set_module_options({"enable_backward": False, "max_unroll": 1})
-
-_MARGIN = wp.constant(0.5 * INSET)
-_NOT_ALLOWED = wp.constant(2.0)
 FAN = wp.constant(2)
-"""Stands for neither diagonal."""
+"""Stands for neither diagonal; 0 and 1 for that from corner 0, or from corner 1."""
 
-
-@wp.func
-def cross_2d(a: wp.vec3, b: wp.vec3) -> float:
-    """Return the cross product of the first two coordinates."""
-    return a[0] * b[1] - a[1] * b[0]
-
-
-@wp.func
-def passes_edge_at(start: wp.vec3, between: wp.vec3, end: wp.vec3, behind: wp.vec3) -> float:
-    """Return where on the edge the triangles on the diagonal from ``start`` to ``end`` pass it.
-
-    The diagonal passes ``between``'s side of the edge. _NOT_ALLOWED where a triangle leaves the envelope.
+SPLIT_IN_CPP = (
+    f"constexpr float MARGIN = {0.5 * INSET}f, NOT_ALLOWED = 2.0f;\n"
+    f"constexpr int FAN = {FAN};\n"
     """
-    from_start = cross_2d(between, start)
-    from_end = cross_2d(between, end)
-    share = from_start / (from_start - from_end)
-    q = start + share * (end - start)
-    out = (q[0] * between[0] + q[1] * between[1]) / (between[0] * between[0] + between[1] * between[1])
-    lowest = out * between[2]
-    room = 1.0 - out
-    if room <= 0.0 or q[2] < lowest + _MARGIN * room or q[2] > lowest + (1.0 - _MARGIN) * room:
-        return _NOT_ALLOWED
-    # The other triangle has the edge in it; barycentric coordinates of the edge.
-    a = cross_2d(end, behind)
-    b = cross_2d(behind, start)
-    c = cross_2d(start, end)
-    height = (a * start[2] + b * end[2] + c * behind[2]) / (a + b + c)
-    if height < _MARGIN or height > 1.0 - _MARGIN:
-        return _NOT_ALLOWED
-    return height
-
-
-@wp.func
-def diagonal_passes_at(start: wp.vec3, second: wp.vec3, end: wp.vec3, fourth: wp.vec3) -> float:
-    """Return where on the edge a quad with a diagonal from ``start`` to ``end`` passes it; _NOT_ALLOWED if outside."""
-    if cross_2d(start, end) >= 0.0:
-        return passes_edge_at(start, second, end, fourth)
-    return passes_edge_at(end, fourth, start, second)
-
-
-@wp.func
-def choose_split(a: wp.vec3, b: wp.vec3, c: wp.vec3, d: wp.vec3, along: float) -> int:
-    """Return which diagonal cuts a quad, or that it becomes a fan."""
-    first = diagonal_passes_at(a, b, c, d)
-    second = diagonal_passes_at(b, c, d, a)
-    if first == _NOT_ALLOWED and second == _NOT_ALLOWED:
-        return FAN
-    if wp.abs(second - along) < wp.abs(first - along):
-        return 1
-    return 0
+    struct Point { V x, y, z; };
+    auto cross_2d = [](const Point &a, const Point &b) { return a.x * b.y - a.y * b.x; };
+    auto distance = [](V a, V b) { return a < b ? b - a : a - b; };
+    // Where on the edge the triangles on the diagonal from start to end pass it, on whose side of the edge ``between``
+    // is; NOT_ALLOWED where a triangle leaves the envelope.
+    auto passes_edge_at = [&](const Point &start, const Point &between, const Point &end, const Point &behind) {
+        const V from_start = cross_2d(between, start), from_end = cross_2d(between, end);
+        const V share = from_start / (from_start - from_end);
+        const V x = start.x + share * (end.x - start.x), y = start.y + share * (end.y - start.y);
+        const V z = start.z + share * (end.z - start.z);
+        const V out = (x * between.x + y * between.y) / (between.x * between.x + between.y * between.y);
+        const V lowest = out * between.z, room = 1.0f - out;
+        // The other triangle has the edge in it; barycentric coordinates of the edge.
+        const V a = cross_2d(end, behind), b = cross_2d(behind, start), c = cross_2d(start, end);
+        const V height = (a * start.z + b * end.z + c * behind.z) / (a + b + c);
+        const auto allowed = (room > 0.0f) & (z >= lowest + MARGIN * room) & (z <= lowest + (1.0f - MARGIN) * room)
+                             & (height >= MARGIN) & (height <= 1.0f - MARGIN);
+        return allowed ? height : (V)NOT_ALLOWED;
+    };
+    auto diagonal_passes_at = [&](const Point &start, const Point &second, const Point &end, const Point &fourth) {
+        const auto turned = cross_2d(start, end) < 0.0f;
+        auto either = [&](const Point &a, const Point &b) {
+            return Point{turned ? b.x : a.x, turned ? b.y : a.y, turned ? b.z : a.z};
+        };
+        return passes_edge_at(either(start, end), either(second, fourth), either(end, start), either(fourth, second));
+    };
+    auto choose_split = [&](const Point *corners, V along) {
+        const V first = diagonal_passes_at(corners[0], corners[1], corners[2], corners[3]);
+        const V second = diagonal_passes_at(corners[1], corners[2], corners[3], corners[0]);
+        const V zero = 0.0f, one = 1.0f;
+        const V chosen = distance(second, along) < distance(first, along) ? one : zero;
+        return (first == NOT_ALLOWED) & (second == NOT_ALLOWED) ? (V)(float)FAN : chosen;
+    };
+"""
+)
+"""C++ for native functions, after what says what ``V`` is: ``choose_split`` of four corners and the 1-D point."""
