@@ -1,9 +1,27 @@
 """What the extension adds to Blender, in the order in which it is added."""
 
-from .operators import import_files
-from .panel import results_panel
+from . import preferences, settings
+from .operators import compare, fuse, import_files, job_control, locate, scan, views
+from .panel import legend, results_panel, step_panels
+from .results import kept_in_order
+from .steps import scene_reference
 
-MODULES = (import_files, results_panel)
+MODULES = (
+    preferences,
+    settings,
+    scene_reference,
+    kept_in_order,
+    job_control,
+    scan,
+    fuse,
+    locate,
+    compare,
+    views,
+    import_files,
+    step_panels,
+    results_panel,
+    legend,
+)
 
 
 def register() -> None:

@@ -10,6 +10,7 @@ from datagen.frame_selection import select_frames
 from datagen.images import DEPTH_INVALID_MAX
 from datagen.progress import ProgressReporter, silent
 from datagen.rigid import transform_points
+from fusion.devices import resolve_device
 from fusion.frames.survey import combine, load, survey_frame
 from fusion.reconstruction_config import ReconstructionConfig, choose_lengths
 from fusion.volume.block_table import BLOCK_SIDE
@@ -62,6 +63,7 @@ def estimate(
     """
     chosen = select_frames(dataset.frame_ids, frames)
     some = [chosen[i] for i in np.unique(np.linspace(0, len(chosen) - 1, FRAMES).round().astype(int))]
+    resolve_device("cpu")  # Warp keeps quiet from then on
     load()
     last_step = DEPTH_INVALID_MAX - 1 if depth_max is None else int(depth_max / dataset.depth_scale)
     depths, surveys = [], []

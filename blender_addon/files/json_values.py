@@ -50,6 +50,12 @@ class JsonValue:
             return None
         return self.member(name).number()
 
+    def optional_member(self, name: str) -> "JsonValue | None":
+        """Return the value under ``name`` of an object, None where there is none or it is null."""
+        if isinstance(self.value, dict) and self.value.get(name) is None:
+            return None
+        return self.member(name)
+
     def items(self) -> Iterator["JsonValue"]:
         """Yield the items of a list."""
         if not isinstance(self.value, list):

@@ -158,3 +158,18 @@ def _colors(path: Path, vertices: NDArray) -> NDArray[np.uint8]:
         if types.get(name) == np.uint8:
             colors[:, channel] = vertices[name]
     return colors
+
+
+def write_triangles(path: Path, vertices: NDArray[np.float32], triangles: NDArray[np.int32]) -> None:
+    """Write vertices (N, 3) and triangles (M, 3) as a binary PLY file, without colours."""
+    header = (
+        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(vertices)}\n"
+        "property float x\nproperty float y\nproperty float z\n"
+        f"element face {len(triangles)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    faces = np.empty(len(triangles), np.dtype([("size", "u1"), ("vertices", "<i4", 3)]))
+    faces["size"], faces["vertices"] = 3, triangles
+    with path.open("wb") as file:
+        file.write(header.encode())
+        file.write(np.ascontiguousarray(vertices, "<f4").tobytes())
+        file.write(faces.tobytes())

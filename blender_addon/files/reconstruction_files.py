@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +45,8 @@ class LocatedFrame:
     """A frame that was located: ``nearest`` is the fused frame whose pose, ``world_from_camera``, explains it best.
 
     ``score`` is the error of that pose; the errors against the truth are None where it is not known.
+    ``nearest_frames`` are the nearest, best first. ``refined`` is the frame's own pose where it was refined, with the
+    ``verdict`` whether to believe it.
     """
 
     query: int
@@ -52,16 +55,19 @@ class LocatedFrame:
     world_from_camera: Pose
     rotation_error_deg: float | None
     translation_error_m: float | None
+    nearest_frames: tuple[int, ...]
+    refined: Pose | None
+    verdict: str | None
 
 
 @dataclass(frozen=True, kw_only=True)
-class Reconstruction:
-    """All that a reconstruction folder holds, as far as Blender shows it; lengths in metres, world frame."""
+class Record:
+    """What a reconstruction folder holds beside its mesh, as far as Blender shows it; metres, world frame."""
 
     folder: Path
     dataset: Path
     intrinsics: Intrinsics
-    mesh: ColoredMesh
+    voxel_size_m: float | None
     trajectory: tuple[FusedFrame, ...]
     located: tuple[LocatedFrame, ...]
 
@@ -69,6 +75,13 @@ class Reconstruction:
     def name(self) -> str:
         """The folder's name."""
         return self.folder.name
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reconstruction(Record):
+    """A whole reconstruction folder."""
+
+    mesh: ColoredMesh
 
     def diagonal_m(self) -> float:
         """Return the diagonal of the box around mesh and camera path, the measure of all that is drawn."""
@@ -78,7 +91,13 @@ class Reconstruction:
 
 
 def read_reconstruction(folder: Path) -> Reconstruction:
-    """Read and check a reconstruction folder; frames count as located where it holds ``poses.json``.
+    """Read and check a reconstruction folder with its mesh; raises ReconstructionError as ``read_record`` does."""
+    record = read_record(folder)
+    return Reconstruction(**vars(record), mesh=read_colored_mesh(record.folder / MESH_FILE))
+
+
+def read_record(folder: Path) -> Record:
+    """Read and check a reconstruction folder but its mesh; frames are located where it holds ``poses.json``.
 
     Raises ReconstructionError naming the file, the value found there and the remedy.
     """
@@ -93,13 +112,13 @@ def read_reconstruction(folder: Path) -> Reconstruction:
         )
     record = read_json(file, remedy="write it again with 'fusion reconstruct'")
     _check_format(record)
-    return Reconstruction(
+    return Record(
         folder=folder,
         dataset=folder / record.member("dataset").text(),
-        intrinsics=_intrinsics(record.member("camera")),
+        intrinsics=read_intrinsics(record.member("camera")),
         trajectory=tuple(_fused_frame(item) for item in record.member("trajectory").items()),
         located=_read_located(folder / POSES_FILE),
-        mesh=read_colored_mesh(folder / MESH_FILE),
+        voxel_size_m=record.optional_number("voxel_size_m"),
     )
 
 
@@ -114,7 +133,8 @@ def _check_format(record: JsonValue) -> None:
         )
 
 
-def _intrinsics(camera: JsonValue) -> Intrinsics:
+def read_intrinsics(camera: JsonValue) -> Intrinsics:
+    """Return the camera that a JSON object describes; raises ReconstructionError naming the key at fault."""
     return Intrinsics(
         width=camera.member("width").integer(at_least=1),
         height=camera.member("height").integer(at_least=1),
@@ -144,4 +164,20 @@ def _located_frame(item: JsonValue) -> LocatedFrame:
         world_from_camera=item.member("world_from_camera").pose(),
         rotation_error_deg=item.optional_number("rotation_error_deg"),
         translation_error_m=item.optional_number("translation_error_m"),
+        nearest_frames=_nearest_frames(item),
+        **_refined(item),
     )
+
+
+def _nearest_frames(item: JsonValue) -> tuple[int, ...]:
+    frames = item.optional_member("nearest_frames")
+    if frames is None:
+        return (item.member("nearest").integer(),)
+    return tuple(frame.integer() for frame in frames.items())
+
+
+def _refined(item: JsonValue) -> dict[str, Any]:
+    refined = item.optional_member("refined")
+    if refined is None:
+        return {"refined": None, "verdict": None}
+    return {"refined": refined.member("world_from_camera").pose(), "verdict": refined.member("verdict").text()}

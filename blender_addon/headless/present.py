@@ -17,7 +17,7 @@ from blender_addon.headless.render_still import render_png, set_up_presentation
 from blender_addon.headless.save_blend import save_blend
 from blender_addon.results.camera_conversion import blender_pose, set_intrinsics, set_render_size
 from blender_addon.results.import_reconstruction import import_reconstruction
-from blender_addon.results.pose_markers import CLIP_END_M, CLIP_START_M
+from blender_addon.results.scan_camera import CLIP_END_M, CLIP_START_M
 from blender_addon.results.scene_collection import MESH_PART, PART_KEY
 from datagen.errors import InputError
 from datagen.images import read_color

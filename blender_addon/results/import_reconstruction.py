@@ -4,17 +4,28 @@ from pathlib import Path
 
 import bpy
 
-from ..files.reconstruction_files import Reconstruction, read_reconstruction
+from ..files.reconstruction_files import Reconstruction, Record, read_reconstruction
 from .camera_conversion import set_render_size
 from .camera_path import create_path_object
 from .mesh_import import create_mesh_object
 from .pose_markers import create_markers
-from .scene_collection import MARKER_PART, MESH_PART, PATH_PART, add_part, empty_collection
+from .scene_collection import (
+    MARKER_PART,
+    MESH_PART,
+    PATH_PART,
+    add_part,
+    empty_collection,
+    find_collection,
+    remove_parts,
+)
 
+MESH_NAME = "Scanback mesh"
 LOCATED_COLLECTION = "Located frames"
 MARKER_SIZE = 0.06
 WIRE_RADIUS = 0.0016
 """Sizes as parts of the diagonal of mesh and camera path."""
+MARKER_SIZE_KEY = "scanback_marker_size"
+"""Custom property of a reconstruction's collection: how large cameras are drawn in it."""
 
 
 def import_reconstruction(
@@ -27,22 +38,50 @@ def import_reconstruction(
     Everything is read and checked before the scene is touched: ReconstructionError leaves it as it was.
     """
     reconstruction = read_reconstruction(folder)
+    mesh = create_mesh_object(MESH_NAME, reconstruction.mesh)
+    return place_reconstruction(scene, reconstruction, mesh, match_render_size=match_render_size)
+
+
+def place_reconstruction(
+    scene: bpy.types.Scene, reconstruction: Reconstruction, mesh: bpy.types.Object, *, match_render_size: bool = True
+) -> bpy.types.Collection:
+    """Put a reconstruction that was read, with the object of its mesh, into its collection as above."""
     collection = empty_collection(scene, reconstruction.folder)
-    _add_parts(collection, reconstruction)
+    # Names are given when those of what was replaced are free again.
+    mesh.name = mesh.data.name = MESH_NAME
+    for material in mesh.data.materials:
+        material.name = f"{MESH_NAME} colours"
+    add_part(collection, MESH_PART, [mesh])
+    diagonal_m = reconstruction.diagonal_m()
+    collection[MARKER_SIZE_KEY] = MARKER_SIZE * diagonal_m
+    if reconstruction.trajectory:
+        radius_m = WIRE_RADIUS * diagonal_m
+        path = create_path_object("Scanback camera path", reconstruction.trajectory, radius_m=radius_m)
+        add_part(collection, PATH_PART, [path])
+    _add_markers(collection, reconstruction)
     if match_render_size:
         set_render_size(scene.render, reconstruction.intrinsics)
     return collection
 
 
-def _add_parts(collection: bpy.types.Collection, reconstruction: Reconstruction) -> None:
-    diagonal_m = reconstruction.diagonal_m()
-    radius_m = WIRE_RADIUS * diagonal_m
-    add_part(collection, MESH_PART, [create_mesh_object("Scanback mesh", reconstruction.mesh)])
-    if reconstruction.trajectory:
-        path = create_path_object("Scanback camera path", reconstruction.trajectory, radius_m=radius_m)
-        add_part(collection, PATH_PART, [path])
+def place_located(scene: bpy.types.Scene, record: Record) -> bpy.types.Collection | None:
+    """Replace the located frames of a reconstruction that is in the scene; None where it is not."""
+    collection = find_collection(scene, record.folder)
+    if collection is None or MARKER_SIZE_KEY not in collection:
+        return None
+    remove_parts(collection, part=MARKER_PART)
+    _add_markers(collection, record)
+    return collection
+
+
+def _add_markers(collection: bpy.types.Collection, record: Record) -> None:
+    size_m = float(collection[MARKER_SIZE_KEY])
     markers = create_markers(
-        reconstruction.located, reconstruction.intrinsics, size_m=MARKER_SIZE * diagonal_m, radius_m=radius_m
+        record.located,
+        record.intrinsics,
+        dataset=record.dataset,
+        size_m=size_m,
+        radius_m=size_m * WIRE_RADIUS / MARKER_SIZE,
     )
     if markers:
         add_part(collection, MARKER_PART, markers, into=LOCATED_COLLECTION)

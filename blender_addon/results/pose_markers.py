@@ -1,29 +1,32 @@
 """Located frames as cameras at their nearest poses, each with a wire frustum that renders."""
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import bpy
 import numpy as np
 
-from ..files.reconstruction_files import Intrinsics, LocatedFrame
-from .camera_conversion import CAMERA_OPENCV_FROM_BLENDER, blender_pose, set_intrinsics
+from ..files.dataset_files import color_file
+from ..files.reconstruction_files import Intrinsics, LocatedFrame, Pose
+from .camera_conversion import CAMERA_OPENCV_FROM_BLENDER, blender_pose
 from .emission_material import colored_wire
+from .frame_pictures import show_behind
+from .scan_camera import new_scan_camera
 from .wire_curve import create_wire
 
 MARKER_COLOR_LINEAR = (0.9, 0.17, 0.0)
-CLIP_START_M = 0.01
-CLIP_END_M = 1000.0
 FRUSTUM_MARGIN = 1.08
 """The frustum is this much wider than the view, so that the marker's own camera does not see it."""
 
 
 def create_markers(
-    located: Sequence[LocatedFrame], intrinsics: Intrinsics, *, size_m: float, radius_m: float
+    located: Sequence[LocatedFrame], intrinsics: Intrinsics, *, dataset: Path, size_m: float, radius_m: float
 ) -> list[bpy.types.Object]:
     """Return new camera objects, one for each located frame, and their frusta, which share one curve.
 
     ``size_m`` is how far a frustum reaches, ``radius_m`` half the thickness of its lines. The cameras carry query,
-    nearest, score and, where the truth is known, the errors as custom properties.
+    nearest, score and, where the truth is known, the errors as custom properties, and show the nearest frame of
+    ``dataset`` behind what they see. A pose that was refined has a camera of its own.
     """
     if not located:
         return []
@@ -32,29 +35,40 @@ def create_markers(
     markers = []
     for frame in located:
         camera = _create_camera(frame, intrinsics, size_m=size_m)
+        show_behind(camera.data, color_file(dataset, frame.nearest))
         wire = bpy.data.objects.new(f"{camera.name} frustum", frustum)
         wire.parent = camera
         wire.hide_select = True  # a click on it is meant for the camera
         markers += [camera, wire]
+        if frame.refined is not None:
+            markers.append(_create_refined(frame, frame.refined, intrinsics, size_m=size_m))
     return markers
 
 
 def _create_camera(frame: LocatedFrame, intrinsics: Intrinsics, *, size_m: float) -> bpy.types.Object:
     name = f"Query {frame.query} nearest {frame.nearest}"
-    data = bpy.data.cameras.new(name)
-    set_intrinsics(data, intrinsics)
-    data.clip_start = CLIP_START_M
-    data.clip_end = CLIP_END_M
-    data.display_size = size_m
-    camera = bpy.data.objects.new(name, data)
+    camera = new_scan_camera(name, intrinsics, size_m=size_m)
     camera.matrix_world = blender_pose(frame.world_from_camera)
     camera["query"] = frame.query
     camera["nearest"] = frame.nearest
+    camera["nearest_frames"] = list(frame.nearest_frames)
     camera["score"] = frame.score
     if frame.rotation_error_deg is not None:
         camera["rotation_error_deg"] = frame.rotation_error_deg
     if frame.translation_error_m is not None:
         camera["translation_error_m"] = frame.translation_error_m
+    return camera
+
+
+def _create_refined(
+    frame: LocatedFrame, world_from_camera: Pose, intrinsics: Intrinsics, *, size_m: float
+) -> bpy.types.Object:
+    camera = new_scan_camera(f"Query {frame.query} refined", intrinsics, size_m=size_m)
+    camera.matrix_world = blender_pose(world_from_camera)
+    camera["query"] = frame.query
+    camera["nearest"] = frame.nearest
+    camera["nearest_frames"] = list(frame.nearest_frames)
+    camera["verdict"] = frame.verdict or ""
     return camera
 
 

@@ -10,7 +10,14 @@ FOLDER_KEY = "scanback_folder"
 """Custom property of a reconstruction's collection: its folder. Names may be changed by the user, this stays."""
 PART_KEY = "scanback_part"
 """Custom property of all that we put into such a collection: what it is."""
-MESH_PART, PATH_PART, MARKER_PART = "mesh", "path", "marker"
+MESH_PART, PATH_PART, MARKER_PART, VIEW_PART, REPLAY_PART, LIVE_PART = (
+    "mesh", "path", "marker", "view", "replay", "live"
+)  # fmt: skip
+
+
+def is_ours(block: bpy.types.ID) -> bool:
+    """Tell whether an object or a collection is one that we put into the scene."""
+    return PART_KEY in block or FOLDER_KEY in block
 
 
 def empty_collection(scene: bpy.types.Scene, folder: Path) -> bpy.types.Collection:
@@ -25,7 +32,7 @@ def empty_collection(scene: bpy.types.Scene, folder: Path) -> bpy.types.Collecti
         collection[FOLDER_KEY] = str(folder)
     if collection != scene.collection and collection not in scene.collection.children_recursive:
         scene.collection.children.link(collection)
-    _remove_parts(collection)
+    remove_parts(collection)
     return collection
 
 
@@ -34,7 +41,7 @@ def find_collection(scene: bpy.types.Scene, folder: Path) -> bpy.types.Collectio
     in_scene = scene.collection.children_recursive
     for collection in bpy.data.collections:
         is_free = collection in in_scene or collection.users == 0
-        if is_free and collection.library is None and _folder_of(collection) == folder:
+        if is_free and collection.library is None and folder_of(collection) == folder:
             return collection
     return None
 
@@ -44,7 +51,10 @@ def add_part(
 ) -> None:
     """Put ``objects`` into ``collection``, or into its sub-collection ``into``, marked as ours."""
     target = collection
-    if into is not None:
+    there = [child for child in collection.children if child.get(PART_KEY) == part]
+    if into is not None and there:
+        target = there[0]
+    elif into is not None:
         target = bpy.data.collections.new(into)
         target[PART_KEY] = part
         collection.children.link(target)
@@ -53,21 +63,38 @@ def add_part(
         target.objects.link(item)
 
 
-def _folder_of(collection: bpy.types.Collection) -> Path | None:
+def parts(collection: bpy.types.Collection, part: str) -> list[bpy.types.Object]:
+    """Return the objects of one kind that we put into ``collection``."""
+    return [item for item in collection.all_objects if item.get(PART_KEY) == part]
+
+
+def our_collections(scene: bpy.types.Scene) -> list[bpy.types.Collection]:
+    """Return the collections of reconstructions in ``scene``."""
+    return [collection for collection in scene.collection.children_recursive if FOLDER_KEY in collection]
+
+
+def folder_of(collection: bpy.types.Collection) -> Path | None:
+    """Return the folder of the reconstruction that ``collection`` shows, None where it shows none."""
     folder = collection.get(FOLDER_KEY)
     return Path(bpy.path.abspath(folder)).resolve() if isinstance(folder, str) else None
 
 
-def _remove_parts(collection: bpy.types.Collection) -> None:
-    """Remove our objects and sub-collections, and the data that nothing uses after that."""
-    ours = [item for item in collection.all_objects if PART_KEY in item]
+def remove_parts(collection: bpy.types.Collection, *, part: str | None = None) -> None:
+    """Remove our objects of one kind, or all, with their sub-collections and the data that nothing uses after that."""
+    ours = [item for item in collection.all_objects if part in (None, item.get(PART_KEY)) and PART_KEY in item]
     data = {item.data for item in ours if item.data is not None}
+    actions = {item.animation_data.action for item in ours if item.animation_data is not None} - {None}
+    images = {picture.image for item in ours if item.type == "CAMERA" for picture in item.data.background_images}
     materials = {slot.material for item in ours for slot in item.material_slots if slot.material is not None}
     bpy.data.batch_remove(ours)
-    for unused in (data, materials):  # in this order: the data uses the materials
+    for unused in (data, materials, actions, images - {None}):  # in this order: the data uses the others
         bpy.data.batch_remove([block for block in unused if block.users == 0])
-    for child in [child for child in collection.children_recursive if PART_KEY in child]:
+    for child in [child for child in collection.children_recursive if _is(child, part)]:
         for item in child.objects:  # what the user put there stays
             if item.name not in collection.objects:
                 collection.objects.link(item)
         bpy.data.collections.remove(child)
+
+
+def _is(collection: bpy.types.Collection, part: str | None) -> bool:
+    return PART_KEY in collection and part in (None, collection[PART_KEY])

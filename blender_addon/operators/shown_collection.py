@@ -1,0 +1,54 @@
+"""Which of a scene's reconstructions is meant."""
+
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from ..errors import ReconstructionError
+from ..files.reconstruction_files import POSES_FILE, RECONSTRUCTION_FILE, Record, read_record
+from ..results.scene_collection import find_collection, folder_of, our_collections
+from ..settings import RECONSTRUCTION, scan_folder
+
+
+def find_shown(context: Any) -> bpy.types.Collection | None:
+    """Return the reconstruction of the active object, of the panel's folder, or the only one; None without any."""
+    collections = our_collections(context.scene)
+    active = context.view_layer.objects.active
+    if active is not None:
+        for collection in collections:
+            if active.name in collection.all_objects:
+                return collection
+    named = find_collection(context.scene, scan_folder(context.scene) / RECONSTRUCTION)
+    if named in collections:
+        return named
+    return collections[0] if collections else None
+
+
+def shown_collection(context: Any) -> bpy.types.Collection:
+    """Return the reconstruction that is meant; raises ReconstructionError where the scene has none."""
+    found = find_shown(context)
+    if found is None:
+        raise ReconstructionError("The scene has no reconstruction; fuse one, or import it")
+    return found
+
+
+def record_of(collection: bpy.types.Collection) -> Record:
+    """Return what a collection's folder says, read again only where it has changed."""
+    folder = folder_of(collection)
+    if folder is None:
+        raise ReconstructionError(f"{collection.name} does not say where its reconstruction is; import it again")
+    return _read(folder, *(_written_ns(folder / name) for name in (RECONSTRUCTION_FILE, POSES_FILE)))
+
+
+@lru_cache(maxsize=8)
+def _read(folder: Path, *written_ns: int) -> Record:  # noqa: ARG001 - a changed file is another one
+    return read_record(folder)
+
+
+def _written_ns(path: Path) -> int:
+    try:
+        return path.stat().st_mtime_ns
+    except OSError:
+        return 0

@@ -1,0 +1,31 @@
+"""A scan's frame as the picture behind what its camera sees."""
+
+from pathlib import Path
+
+import bpy
+
+ALPHA = 0.5
+
+
+def show_behind(camera_data: bpy.types.Camera, picture: Path | None) -> None:
+    """Show an image file behind what a camera sees, in the place of what was shown there; None shows nothing."""
+    camera_data.background_images.clear()
+    camera_data.show_background_images = picture is not None
+    if picture is None:
+        return
+    background = camera_data.background_images.new()
+    background.image = load_picture(picture)
+    background.alpha = ALPHA
+    background.display_depth = "BACK"
+    background.frame_method = "STRETCH"  # the picture spans the view exactly, whatever the pixels' aspect
+
+
+def load_picture(picture: Path) -> bpy.types.Image:
+    """Return an image of a file, one for all that show it, its path relative to a saved .blend."""
+    path = str(picture)
+    if bpy.data.filepath:
+        try:
+            path = bpy.path.relpath(path)
+        except ValueError:  # another drive
+            path = str(picture)
+    return bpy.data.images.load(path, check_existing=True)

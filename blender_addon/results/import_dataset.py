@@ -1,0 +1,42 @@
+"""A dataset in the scene, without any fusion: its camera's path and a camera that goes it again, with its pictures."""
+
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from ..files.dataset_files import PosedFrames, read_posed_frames
+from ..files.reconstruction_files import Record
+from .camera_conversion import set_render_size
+from .camera_path import create_path_object
+from .import_reconstruction import MARKER_SIZE, MARKER_SIZE_KEY, WIRE_RADIUS
+from .replay_camera import add_replay
+from .scene_collection import PATH_PART, add_part, empty_collection
+
+
+def import_dataset(
+    scene: bpy.types.Scene, folder: Path, *, match_render_size: bool = True
+) -> tuple[bpy.types.Collection, PosedFrames]:
+    """Put the path and the camera of the dataset ``folder`` into a collection of their own; again replaces.
+
+    Everything is read before the scene is touched: ReconstructionError leaves it as it was.
+    """
+    frames = read_posed_frames(folder)
+    collection = empty_collection(scene, frames.folder)
+    positions = np.array([frame.world_from_camera[:3, 3] for frame in frames.trajectory])
+    diagonal_m = float(np.linalg.norm(np.ptp(positions, axis=0))) or 1.0
+    collection[MARKER_SIZE_KEY] = MARKER_SIZE * diagonal_m
+    path = create_path_object("Scanback camera path", frames.trajectory, radius_m=WIRE_RADIUS * diagonal_m)
+    add_part(collection, PATH_PART, [path])
+    record = Record(
+        folder=frames.folder,
+        dataset=frames.folder,
+        intrinsics=frames.intrinsics,
+        voxel_size_m=None,
+        trajectory=frames.trajectory,
+        located=(),
+    )
+    add_replay(scene, collection, record)
+    if match_render_size:
+        set_render_size(scene.render, frames.intrinsics)
+    return collection, frames

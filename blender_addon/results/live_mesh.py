@@ -1,0 +1,99 @@
+"""The mesh as it grows: shown while frames are fused, gone when that is over."""
+
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+import bpy
+
+from ..errors import ReconstructionError
+from ..files.mesh_arrays import MeshArrays, mesh_arrays
+from ..files.ply_mesh import read_colored_mesh
+from .mesh_import import fill_mesh, object_of
+from .scene_collection import LIVE_PART, MESH_PART, PART_KEY, find_collection, parts
+
+NAME = "Scanback live"
+
+
+class LiveMesh:
+    """Shows a mesh file in a scene and follows it as it is written anew; an older result stands aside meanwhile.
+
+    The file is read in a thread; what it holds is small enough to be handed to Blender within a tick.
+    """
+
+    def __init__(self, file: Path, folder: Path, find_scene: Callable[[], bpy.types.Scene]) -> None:
+        self._file = file
+        self._folder = folder
+        self._find_scene = find_scene
+        self._seen_ns = 0
+        self._reader: threading.Thread | None = None
+        self._arrays: MeshArrays | None = None
+
+    def follow(self) -> None:
+        """Look at the file, and show it where it is new; to be called at every tick."""
+        if self._reader is not None:
+            if self._reader.is_alive():
+                return
+            self._reader = None
+            if self._arrays is not None:
+                self._show(self._arrays)
+        try:
+            written_ns = self._file.stat().st_mtime_ns
+        except OSError:
+            return
+        if written_ns != self._seen_ns:
+            self._seen_ns = written_ns
+            self._reader = threading.Thread(target=self._read, name=NAME, daemon=True)
+            self._reader.start()
+
+    def remove(self) -> None:
+        """Take it away and let an older result be seen again."""
+        remove_live_meshes()
+        try:
+            scene = self._find_scene()
+        except ReconstructionError:
+            return
+        self._hide_older(scene, hidden=False)
+
+    def _read(self) -> None:
+        try:
+            self._arrays = mesh_arrays(read_colored_mesh(self._file))
+        except ReconstructionError:
+            self._arrays = None  # the next one may be whole
+
+    def _show(self, arrays: MeshArrays) -> None:
+        try:
+            scene = self._find_scene()
+        except ReconstructionError:
+            return
+        item = next((item for item in scene.objects if item.get(PART_KEY) == LIVE_PART), None)
+        name = ""
+        for name in fill_mesh(NAME, arrays):  # noqa: B007 - the last one counts
+            pass
+        data = bpy.data.meshes[name]
+        if item is None:
+            item = object_of(NAME, data)
+            item[PART_KEY] = LIVE_PART
+            item.hide_select = True
+            scene.collection.objects.link(item)
+            self._hide_older(scene, hidden=True)
+            return
+        older, item.data = item.data, data
+        for material in older.materials:
+            data.materials.append(material)
+        bpy.data.meshes.remove(older)
+
+    def _hide_older(self, scene: bpy.types.Scene, *, hidden: bool) -> None:
+        collection = find_collection(scene, self._folder)
+        for item in parts(collection, MESH_PART) if collection is not None else []:
+            item.hide_viewport = hidden
+
+
+def remove_live_meshes() -> None:
+    """Take away all growing meshes, also those that an undo or a saved file brought back."""
+    ours = [item for item in bpy.data.objects if item.get(PART_KEY) == LIVE_PART and item.library is None]
+    data = {item.data for item in ours}
+    materials = {material for mesh in data for material in mesh.materials if material is not None}
+    bpy.data.batch_remove(ours)
+    for unused in (data, materials):
+        bpy.data.batch_remove([block for block in unused if block.users == 0])

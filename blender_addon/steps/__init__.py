@@ -1,0 +1,1 @@
+"""The four steps (scan, fuse, locate, compare), each as a job that runs commands and brings their results in."""

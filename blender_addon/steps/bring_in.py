@@ -1,0 +1,47 @@
+"""A reconstruction brought into the scene in pieces, so that the interface stays alive."""
+
+from pathlib import Path
+
+import bpy
+
+from ..files.mesh_arrays import MeshArrays, mesh_arrays
+from ..files.reconstruction_files import Reconstruction, read_reconstruction
+from ..jobs.job import Job, Pace, Work
+from ..results.import_reconstruction import MESH_NAME, place_reconstruction
+from ..results.mesh_import import fill_mesh, object_of
+from .scene_reference import SceneReference, push_undo
+
+ATTEMPTS = 3
+
+
+def bring_in(
+    job: Job, scene: SceneReference, folder: Path, *, undo: str, match_render_size: bool = True
+) -> Work[Reconstruction]:
+    """Read a reconstruction in a thread and put it into the scene; one undo step, named ``undo``."""
+
+    def read() -> tuple[Reconstruction, MeshArrays]:
+        reconstruction = read_reconstruction(folder)
+        return reconstruction, mesh_arrays(reconstruction.mesh)
+
+    reconstruction, arrays = yield from job.in_thread(read)
+    name = yield from _make_mesh(arrays)
+    mesh = object_of(MESH_NAME, bpy.data.meshes[name])
+    place_reconstruction(scene.find(), reconstruction, mesh, match_render_size=match_render_size)
+    push_undo(undo)
+    return reconstruction
+
+
+def _make_mesh(arrays: MeshArrays) -> Work[str]:
+    """Make mesh data in pieces; an undo between two takes it away, and it is begun again."""
+    for attempt in range(ATTEMPTS):
+        try:
+            name = ""
+            for name in fill_mesh(MESH_NAME, arrays):  # noqa: B007 - the last one counts
+                yield Pace.MORE
+            bpy.data.meshes[name]
+        except KeyError:
+            if attempt == ATTEMPTS - 1:
+                raise
+        else:
+            return name
+    raise AssertionError("the last attempt returns or raises")

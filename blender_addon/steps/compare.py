@@ -1,0 +1,102 @@
+"""The fourth step: how far the reconstruction is from what was scanned, vertex by vertex."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import ReconstructionError
+from ..files.ply_mesh import write_triangles
+from ..files.reconstruction_files import MESH_FILE, read_record
+from ..jobs.command import Command
+from ..jobs.job import Job, Work
+from ..preferences import fusion_device
+from ..results.error_colors import put_errors
+from ..results.scene_collection import MESH_PART, find_collection, parts
+from ..settings import RECONSTRUCTION
+from .bring_in import bring_in
+from .scene_reference import SceneReference, push_undo
+
+NUMBERS = ("chamfer_m", "accuracy_m", "completeness_m", "fscore", "normal_consistency")
+
+
+def compare_work(
+    scene: SceneReference, folder: Path, *, truth: tuple[NDArray, NDArray] | None, limit_m: float
+) -> Callable[[Job], Work[str]]:
+    """Return the job that compares the reconstruction of ``folder`` and colours its mesh in the scene.
+
+    ``truth`` has vertices (N, 3), metres, and triangles (M, 3); None takes the mesh that the dataset keeps.
+    """
+
+    def work(job: Job) -> Work[str]:
+        out = folder / RECONSTRUCTION
+        target = read_record(out).dataset
+        if truth is not None:
+            target = job.folder / "truth.ply"
+            yield from job.in_thread(lambda: write_triangles(target, *truth))
+        errors = job.folder / "errors.npy"
+        arguments = ["evaluate", str(out / MESH_FILE), str(target), "--vertex-errors", str(errors), "--json"]
+        arguments += ["--device", fusion_device()]
+        metrics = yield from job.run(
+            Command(program="fusion", arguments=tuple(arguments), failure="They were not compared")
+        )
+        distances = yield from job.in_thread(lambda: np.load(errors))
+        item = _mesh_in(scene, out)
+        if item is None:
+            yield from bring_in(job, scene, out, undo="Scanback: Import")
+            item = _mesh_in(scene, out)
+        assert item is not None, "a reconstruction that was brought in has a mesh"
+        numbers = {name: float(metrics[name]) for name in NUMBERS}
+        numbers["fscore_threshold_m"] = float(metrics["fscores"][0]["threshold_m"])
+        put_errors(item, distances, limit_m=limit_m, numbers=numbers)
+        push_undo("Scanback: Compare")
+        return (
+            f"The mesh is {1000 * metrics['accuracy_m']:.3g} mm from the original on average, "
+            f"the original {1000 * metrics['completeness_m']:.3g} mm from the mesh"
+        )
+
+    return work
+
+
+def triangles_of(item: bpy.types.Object) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    """Return an object as its modifiers make it, in the world: vertices (N, 3) and triangles (M, 3)."""
+    shown = item.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    try:
+        mesh = shown.to_mesh()
+    except RuntimeError as error:
+        raise ReconstructionError(f"{item.name} is no surface ({error}); choose a mesh") from error
+    try:
+        mesh.calc_loop_triangles()
+        vertices = np.empty(3 * len(mesh.vertices), np.float32)
+        triangles = np.empty(3 * len(mesh.loop_triangles), np.int32)
+        mesh.vertices.foreach_get("co", vertices)
+        mesh.loop_triangles.foreach_get("vertices", triangles)
+    finally:
+        shown.to_mesh_clear()
+    if not len(triangles):
+        raise ReconstructionError(f"{item.name} has no faces; choose another object")
+    world_from_object = np.array(shown.matrix_world)
+    placed = vertices.reshape(-1, 3) @ world_from_object[:3, :3].T + world_from_object[:3, 3]
+    return placed.astype(np.float32), triangles.reshape(-1, 3)
+
+
+def _mesh_in(scene: SceneReference, out: Path) -> bpy.types.Object | None:
+    collection = find_collection(scene.find(), out.resolve())
+    meshes = parts(collection, MESH_PART) if collection is not None else []
+    return meshes[0] if meshes else None
+
+
+def compared_settings(settings: dict[str, Any], scene: bpy.types.Scene) -> tuple[NDArray, NDArray] | None:
+    """Return the truth that the settings of ``CompareProperties`` name; None for the dataset's own."""
+    if settings["truth"] == "DATASET":
+        return None
+    item = scene.objects.get(settings["object_name"])
+    if item is None:
+        name = settings["object_name"]
+        raise ReconstructionError(
+            f"The scene has no object {name}; choose another" if name else "No object is chosen to compare with"
+        )
+    return triangles_of(item)

@@ -1,0 +1,52 @@
+"""The second step: a dataset fused into a coloured mesh, which grows before your eyes."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from ..jobs.command import Command
+from ..jobs.job import Job, Work
+from ..preferences import fusion_device
+from ..results.live_mesh import LiveMesh
+from ..settings import RECONSTRUCTION
+from .bring_in import bring_in
+from .scene_reference import SceneReference
+from .status import forget
+
+
+def fuse_command(dataset: Path, out: Path, settings: dict[str, Any], *, snapshots: Path | None) -> Command:
+    """Return the command for the settings of ``FuseProperties``."""
+    arguments = ["reconstruct", str(dataset), str(out), "--json", "--device", settings["device"] or fusion_device()]
+    arguments += ["--mesher", settings["mesher"]]
+    for name in ("voxel_size", "truncation", "depth_max"):
+        if settings[name] > 0:
+            arguments += [f"--{name.replace('_', '-')}", repr(float(f"{settings[name]:.7g}"))]
+    if settings["every"] > 1:
+        arguments += ["--frames", f"::{settings['every']}"]
+    if settings["use_sensor_depth"]:
+        arguments += ["--depth", "sensor_depth"]
+    if snapshots is not None:
+        arguments += ["--snapshots", str(snapshots)]
+    return Command(program="fusion", arguments=tuple(arguments), failure="The frames were not fused")
+
+
+def fuse_work(
+    scene: SceneReference, folder: Path, dataset: Path, settings: dict[str, Any]
+) -> Callable[[Job], Work[str]]:
+    """Return the job that fuses ``dataset`` into the scan's ``folder`` and brings the result into the scene."""
+
+    def work(job: Job) -> Work[str]:
+        out = folder / RECONSTRUCTION
+        live = LiveMesh(job.folder / "live.ply", out, scene.find) if settings["live"] else None
+        command = fuse_command(dataset, out, settings, snapshots=None if live is None else job.folder / "live.ply")
+        try:
+            yield from job.run(command, meanwhile=live.follow if live is not None else lambda: None)
+            forget()
+        finally:
+            if live is not None:
+                live.remove()
+        made = yield from bring_in(job, scene, out, undo="Scanback: Fuse")
+        triangles = len(made.mesh.triangles)
+        return f"Fused {len(made.trajectory)} frames into {triangles:,} triangles"
+
+    return work
