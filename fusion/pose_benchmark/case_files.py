@@ -17,7 +17,7 @@ class PoseErrors(_Record):
     """Errors of a pose (``fusion.evaluation.pose_errors``); of the camera alone in a room, the others null there.
 
     ``translation_m`` is how far the object's middle is off in the camera's frame, in a room how far the camera is. An
-    error in the image is null where a point comes to lie behind the camera; ``vsd`` is there for final poses.
+    error in the image is null where a point comes to lie behind the camera; ``vsd`` is there where it was asked for.
     """
 
     rotation_deg: float

@@ -35,7 +35,8 @@ class Trial:
 
     ``start``: what ``nearest`` finds and aligns, as ``fusion locate`` does; the pose of the fused view that is in truth
     the nearest; or the truth, perturbed. ``stages`` refine it, ``repeats`` times a frame from different starts. A
-    query is either ``depth`` with its colours, or a ``mask`` alone; ``noise`` spoils it.
+    query is either ``depth`` with its colours, or a ``mask`` alone; ``noise`` spoils it. ``with_vsd``: the visible
+    surface discrepancy is told too, for which the model has to be rendered.
     """
 
     name: str
@@ -46,6 +47,7 @@ class Trial:
     sees: Literal["depth", "mask"] = "depth"
     noise: Noise | None = None
     repeats: int = 1
+    with_vsd: bool = False
 
     @property
     def conditions(self) -> dict[str, Any]:
@@ -66,6 +68,7 @@ def _object_trials(width_px: int) -> tuple[Trial, ...]:
     return (
         Trial(
             name="clean",
+            with_vsd=True,
             title="clean, from the nearest pose",
             start="found",
             stages=("depth",),
@@ -83,6 +86,7 @@ def _object_trials(width_px: int) -> tuple[Trial, ...]:
         ),
         Trial(
             name="mask",
+            with_vsd=True,
             title="clean, mask alone, from the nearest view",
             start="nearest view",
             stages=("silhouette",),
@@ -93,6 +97,7 @@ def _object_trials(width_px: int) -> tuple[Trial, ...]:
         _convergence("off-40", LARGE_ERROR, 95, errors),
         Trial(
             name="noisy",
+            with_vsd=True,
             title="Kinect's noise, masks 1 to 2 px off, up to 30 % hidden, from the nearest pose",
             start="found",
             stages=("depth",),
@@ -146,6 +151,7 @@ def _points_trials(width_px: int) -> tuple[Trial, ...]:
     return (
         Trial(
             name="real",
+            with_vsd=True,
             title=f"real frames, from {SMALL_ERROR.degrees:g}° and {100 * SMALL_ERROR.metres:g} cm off",
             start=SMALL_ERROR,
             stages=("depth",),

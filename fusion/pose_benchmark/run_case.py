@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.errors import InputError
-from datagen.rigid import Matrix, inverse, rotation_angle_deg
+from datagen.rigid import Matrix, inverse
 from fusion.evaluation.pose_errors import (
     average_distance,
     average_nearest_distance,
@@ -24,8 +24,10 @@ from fusion.evaluation.pose_errors import (
     visible_surface_discrepancy,
 )
 from fusion.pose.epipolar import ReferenceFrame
+from fusion.pose.evidence import gather_evidence
 from fusion.pose.nearest_pose import NearestPose, find_nearest_pose
 from fusion.pose.query import Query
+from fusion.pose.se3 import log_so3
 from fusion.pose.stages import refine
 from fusion.pose.verdict import judge
 from fusion.pose_benchmark.case_files import CaseResult, Cost, NearestFound, PoseErrors
@@ -117,16 +119,10 @@ def timed(work: Callable[[], _Value]) -> tuple[_Value, Cost]:
 def view_distances(fused: Fused, view: View) -> NDArray[np.float64]:
     """Return how far each fused view is from a query, radians: √(θ² + (‖t‖/z)²), z the median depth of what it sees."""
     depth = float(np.median(view.depth[view.seen]))
-    pose = view.world_from_camera
-    return np.array(
-        [
-            np.hypot(
-                np.radians(rotation_angle_deg(inverse(other) @ pose)),
-                np.linalg.norm(other[:3, 3] - pose[:3, 3]) / depth,
-            )
-            for other in fused.poses.values()
-        ]
-    )
+    pose, others = view.world_from_camera, np.stack(list(fused.poses.values()))
+    turns = np.linalg.norm(log_so3(np.swapaxes(others[:, :3, :3], 1, 2) @ pose[:3, :3]), axis=1)
+    shifts = np.linalg.norm(others[:, :3, 3] - pose[:3, 3], axis=1)
+    return np.hypot(turns, shifts / depth)
 
 
 def _truly_nearest(fused: Fused, exact: View) -> int:
@@ -168,14 +164,15 @@ def run_case(case: Case) -> CaseResult:
     results, cost = timed(
         lambda: refine(case.subject.model, task.query, task.references, task.start, case.trial.stages)
     )
-    verdict = judge(results[-1])
+    estimate = results[-1].world_from_camera
+    verdict = judge(results[-1], gather_evidence(case.subject.model, task.query, estimate))
     ambiguous = task.nearest is not None and task.nearest.ambiguous
     return outline.model_copy(
         update={
             "start": task.start.tolist(),
             "start_errors": pose_errors(task, task.start),
             "estimate": results[-1].world_from_camera.tolist(),
-            "errors": pose_errors(task, results[-1].world_from_camera, with_vsd=True),
+            "errors": pose_errors(task, results[-1].world_from_camera, with_vsd=case.trial.with_vsd),
             "nearest": task.nearest,
             "verdict": "doubtful" if ambiguous and verdict.answer == "found" else verdict.answer,
             "reasons": verdict.reasons,
