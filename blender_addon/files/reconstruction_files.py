@@ -44,20 +44,29 @@ class FusedFrame:
 class LocatedFrame:
     """A frame that was located: ``nearest`` is the fused frame whose pose, ``world_from_camera``, explains it best.
 
-    ``score`` is the error of that pose; the errors against the truth are None where it is not known.
+    ``score`` is the error of that pose, None where it was found by an outline; the errors against the truth are None
+    where it is not known.
     ``nearest_frames`` are the nearest, best first. ``refined`` is the frame's own pose where it was refined, with the
     ``verdict`` whether to believe it.
     """
 
     query: int
     nearest: int
-    score: float
+    score: float | None
     world_from_camera: Pose
     rotation_error_deg: float | None
     translation_error_m: float | None
     nearest_frames: tuple[int, ...]
     refined: Pose | None
     verdict: str | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class LostQuery:
+    """A frame whose place was not found, and why."""
+
+    query: int
+    reasons: str
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,6 +79,7 @@ class Record:
     voxel_size_m: float | None
     trajectory: tuple[FusedFrame, ...]
     located: tuple[LocatedFrame, ...]
+    lost: tuple[LostQuery, ...] = ()
 
     @property
     def name(self) -> str:
@@ -117,7 +127,7 @@ def read_record(folder: Path) -> Record:
         dataset=folder / record.member("dataset").text(),
         intrinsics=read_intrinsics(record.member("camera")),
         trajectory=tuple(_fused_frame(item) for item in record.member("trajectory").items()),
-        located=_read_located(folder / POSES_FILE),
+        **_read_located(folder / POSES_FILE),
         voxel_size_m=record.optional_number("voxel_size_m"),
     )
 
@@ -149,18 +159,27 @@ def _fused_frame(item: JsonValue) -> FusedFrame:
     return FusedFrame(frame=item.member("frame").integer(), world_from_camera=item.member("world_from_camera").pose())
 
 
-def _read_located(file: Path) -> tuple[LocatedFrame, ...]:
+def _read_located(file: Path) -> dict[str, Any]:
+    """Return the frames that were located, and those that were not: they have no pose."""
     if not file.exists():
-        return ()
+        return {"located": (), "lost": ()}
     poses = read_json(file, remedy="write it again with 'fusion locate', or delete it")
-    return tuple(_located_frame(item) for item in poses.items())
+    located, lost = [], []
+    for item in poses.items():
+        verdict = item.optional_member("verdict")
+        if verdict is not None and verdict.text() == "not found":
+            reasons = "; ".join(reason.text() for reason in item.member("reasons").items())
+            lost.append(LostQuery(query=item.member("query").integer(), reasons=reasons))
+        else:
+            located.append(_located_frame(item))
+    return {"located": tuple(located), "lost": tuple(lost)}
 
 
 def _located_frame(item: JsonValue) -> LocatedFrame:
     return LocatedFrame(
         query=item.member("query").integer(),
         nearest=item.member("nearest").integer(),
-        score=item.member("score").number(),
+        score=item.optional_number("score"),
         world_from_camera=item.member("world_from_camera").pose(),
         rotation_error_deg=item.optional_number("rotation_error_deg"),
         translation_error_m=item.optional_number("translation_error_m"),
@@ -178,6 +197,7 @@ def _nearest_frames(item: JsonValue) -> tuple[int, ...]:
 
 def _refined(item: JsonValue) -> dict[str, Any]:
     refined = item.optional_member("refined")
-    if refined is None:
+    pose = None if refined is None else refined.optional_member("world_from_camera")
+    if refined is None or pose is None:
         return {"refined": None, "verdict": None}
-    return {"refined": refined.member("world_from_camera").pose(), "verdict": refined.member("verdict").text()}
+    return {"refined": pose.pose(), "verdict": refined.member("verdict").text()}

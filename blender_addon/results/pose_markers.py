@@ -52,7 +52,8 @@ def _create_camera(frame: LocatedFrame, intrinsics: Intrinsics, *, size_m: float
     camera["query"] = frame.query
     camera["nearest"] = frame.nearest
     camera["nearest_frames"] = list(frame.nearest_frames)
-    camera["score"] = frame.score
+    if frame.score is not None:
+        camera["score"] = frame.score
     if frame.rotation_error_deg is not None:
         camera["rotation_error_deg"] = frame.rotation_error_deg
     if frame.translation_error_m is not None:

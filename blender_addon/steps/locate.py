@@ -38,14 +38,16 @@ def locate_work(scene: SceneReference, folder: Path, query: LocateQuery) -> Call
         arguments = ["locate", str(out), str(dataset), "--json", "--device", fusion_device()]
         if frames is not None:
             arguments += ["--frames", frames]
-        if query.settings["refine"]:
-            arguments += ["--stages", "nearest,depth"]
+        arguments += ["--stages", "nearest,depth" if query.settings["refine"] else "nearest"]
         yield from job.run(Command(program="fusion", arguments=tuple(arguments), failure="Nothing was located"))
         record = read_record(out)
         if place_located(scene.find(), record) is None:
             yield from bring_in(job, scene, out, undo="Scanback: Locate")
         else:
             push_undo("Scanback: Locate")
+        if not record.located:
+            lost = record.lost[0]
+            raise ReconstructionError(f"The place of frame {lost.query} was not found: {lost.reasons}")
         first = record.located[0]
         more = f", and {len(record.located) - 1} more" if len(record.located) > 1 else ""
         verdict = f" ({first.verdict})" if first.verdict is not None else ""
