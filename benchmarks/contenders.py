@@ -7,8 +7,8 @@ from fusion.devices import load_kernels, resolve_device
 from fusion.frames.frame_batch import FrameUploader
 from fusion.integration.fuse_batch import find_batch_blocks, integrate_batch, load_fusion_kernels
 from fusion.integration.options import Integration
-from fusion.reconstruct import KERNEL_MODULES
 from fusion.surface.marching_cubes import marching_cubes
+from fusion.surface.meshers import KERNEL_MODULES
 from fusion.volume.tsdf_volume import Volume
 
 BATCH = 16
@@ -16,7 +16,7 @@ BATCH = 16
 
 def scanback(frames, camera, options):
     device = resolve_device(options.device)
-    load_kernels(KERNEL_MODULES, device=device)
+    load_kernels(KERNEL_MODULES["marching-cubes"], device=device)
     load_fusion_kernels(Integration(), device=device)
     lengths = {"voxel_size": options.voxel_size, "truncation": options.truncation}
 

@@ -12,8 +12,9 @@ from datagen.rigid import inverse
 from fusion.devices import load_kernels, resolve_device
 from fusion.integration.fuse_batch import load_fusion_kernels
 from fusion.integration.options import Integration
-from fusion.reconstruct import KERNEL_MODULES, reconstruct
+from fusion.reconstruct import reconstruct
 from fusion.reconstruction_config import EXACT, ReconstructionConfig
+from fusion.surface.meshers import KERNEL_MODULES
 
 
 def scanback(dataset, options):
@@ -28,7 +29,7 @@ def scanback(dataset, options):
         integration=EXACT if options.exact else Integration(),
     )
     device = resolve_device(options.device)
-    load_kernels(KERNEL_MODULES, device=device)
+    load_kernels(KERNEL_MODULES[config.mesher], device=device)
     load_fusion_kernels(config.integration, device=device)
 
     def run():
