@@ -26,9 +26,7 @@ from scipy.sparse.csgraph import connected_components
 sys.path[:] = [entry for entry in sys.path if Path(entry or ".").resolve() != Path(__file__).resolve().parent]
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.exact_scenes import CAMERA, SAMPLES, make_scene
-from benchmarks.exact_scenes import Scene as Scene
-from benchmarks.exact_scenes import poses_around as poses_around
+from benchmarks.exact_scenes import CAMERA, SAMPLES, Scene, make_scene, poses_around
 from fusion.devices import load_kernels, resolve_device
 from fusion.evaluation.evaluate import sample_surface
 from fusion.frames.frame_batch import FrameUploader
@@ -40,6 +38,8 @@ from fusion.surface.dual_contouring.dual_contouring import oracle_kernels
 from fusion.surface.mesh_files import write_mesh
 from fusion.surface.meshers import KERNEL_MODULES, Mesher, OracleName, mesh_volume
 from fusion.volume.tsdf_volume import Volume
+
+__all__ = ["BATCH", "CAMERA", "Scene", "fuse", "make_scene", "poses_around"]  # for surfaces.py
 
 BATCH = 16
 FAR_VOXELS = 1.5
