@@ -15,6 +15,9 @@ from fusion.devices import Device, map_on_cores
 MAX_BATCH = 32
 """Frames a batch: one bit each in a block's mask."""
 
+TILE = 8
+"""Pixels: images are looked over by square tiles of this width."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class FrameBatch:
@@ -22,7 +25,8 @@ class FrameBatch:
 
     ``depth`` (frames, height, width) planar, 0 = invalid, in steps of ``depth_scale`` metres: uint16 as images store
     it, or float32 metres, then ``depth_scale`` is 1. ``color`` (frames, height, 3 · width) uint8, RGB, or None for
-    depth alone; ``confidence`` (frames, height, width) uint8 is room for that of the colours (``color_confidence``);
+    depth alone; ``confidence`` (frames, rows of tiles, 8 · columns of tiles) uint8 is room for that of the colours
+    (``color_confidence``): bit u % 8 of byte 8 · (u // 8) + v % 8 of row v // 8 is set where pixel (u, v) is trusted;
     ``pixel_weights`` (frames, height, width) float32, None where all are 1; ``camera_from_world`` (frames,) mat44d.
     """
 
@@ -53,7 +57,8 @@ class _Buffers:
             wp.empty(capacity, dtype=wp.mat44d, device="cpu", pinned=pinned),
             wp.empty((capacity, camera.height, 3 * camera.width), dtype=wp.uint8, device="cpu", pinned=pinned),
         )
-        self.confidence = wp.empty(shape, dtype=wp.uint8, device=device)
+        tiles = (-(-camera.height // TILE), TILE * -(-camera.width // TILE))
+        self.confidence = wp.empty((capacity, *tiles), dtype=wp.uint8, device=device)
         self.on_device = tuple(wp.empty_like(array, device=device) for array in self.host) if pinned else self.host
         self.copied: Any = None
         self.released: Any = None

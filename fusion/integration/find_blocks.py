@@ -3,185 +3,133 @@
 Pixels are taken in square tiles. A tile's valid depths span [z_min, z_max]; the band of all its pixels lies in the
 piece of the tile's frustum between z_min − t and z_max + t. Every block whose voxel centres come into that convex piece
 is found, by testing the box of the centres against the piece's six planes: no block of the band is ever missed, some
-beside it are taken. A cell of 32×32 pixels is one piece where that costs few blocks beside the band: it is no wider
-than a block and its depths span no more than the truncation. Elsewhere it is divided, down to 8×8. Where such a tile
-spans an edge in depth, its near and far pixels make a piece each.
+beside it are taken. Where a tile spans an edge in depth, its near and far pixels make a piece each.
 """
 
 import warp as wp
 
 from datagen.errors import InputError
 from fusion.devices import launch_in_slabs
-from fusion.frames.depth_tiles import NONE_NEAR, TILE, DepthTiles
-from fusion.frames.frame_batch import FrameBatch
+from fusion.frames.depth_tiles import NONE_NEAR, DepthTiles
+from fusion.frames.frame_batch import TILE, FrameBatch
 from fusion.frames.frame_matrices import FrameMatrices
 from fusion.volume.block_table import (
     BLOCK_SIDE,
     COORDINATE_LIMIT,
+    ENTER_IN_CPP,
     OUT_OF_RANGE,
     TABLE_FULL,
     BlockArrays,
     BlockTable,
-    enter_block,
 )
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-CELL_TILES = 4
-"""A cell is this many tiles wide."""
-
-_TILE = wp.constant(float(TILE))
-_CELL_TILES = wp.constant(CELL_TILES)
-_SIDE = wp.constant(float(BLOCK_SIDE))
-_FAR = wp.constant(3.0e38)
-_TABLE_FULL = wp.constant(TABLE_FULL)
-_OUT_OF_RANGE = wp.constant(OUT_OF_RANGE)
-
-
-@wp.struct
-class Piece:
-    """A convex piece of a tile's frustum, in the world, and how far a block's voxel centres reach across its planes.
-
-    The four side planes pass through ``origin``, the camera; n · (p − origin) ≤ 0 inside. Along ``axis`` it spans
-    [near, far]. ``low`` and ``high`` are the corners of the box around it.
-    """
-
-    origin: wp.vec3
-    axis: wp.vec3
-    left: wp.vec3
-    right: wp.vec3
-    top: wp.vec3
-    bottom: wp.vec3
-    near: float
-    far: float
-    half: float
-    low: wp.vec3
-    high: wp.vec3
-
-
-@wp.func
-def piece_of_tile(pose: wp.mat44, edges: wp.vec4, near: float, far: float, voxel_size: float) -> Piece:
-    """Return the piece between depths ``near`` and ``far``.
-
-    ``edges`` are x/z at the tile's left and right and y/z at its top and bottom.
-    """
-    piece = Piece()
-    piece.origin = wp.transform_point(pose, wp.vec3(0.0, 0.0, 0.0))
-    piece.axis = wp.transform_vector(pose, wp.vec3(0.0, 0.0, 1.0))
-    piece.left = wp.transform_vector(pose, wp.vec3(-1.0, 0.0, edges[0]))
-    piece.right = wp.transform_vector(pose, wp.vec3(1.0, 0.0, -edges[1]))
-    piece.top = wp.transform_vector(pose, wp.vec3(0.0, -1.0, edges[2]))
-    piece.bottom = wp.transform_vector(pose, wp.vec3(0.0, 1.0, -edges[3]))
-    piece.near = near
-    piece.far = far
-    # Half the distance between a block's outer voxel centres, a little more against rounding.
-    piece.half = 0.5 * (_SIDE - 1.0) * voxel_size * 1.0001
-    low = wp.vec3(_FAR, _FAR, _FAR)
-    high = -low
-    for corner in range(8):
-        z = wp.where(corner & 4, far, near)
-        x = wp.where(corner & 1, edges[1], edges[0]) * z
-        y = wp.where(corner & 2, edges[3], edges[2]) * z
-        point = wp.transform_point(pose, wp.vec3(x, y, z))
-        low = wp.min(low, point)
-        high = wp.max(high, point)
-    piece.low = low
-    piece.high = high
-    return piece
-
-
-@wp.func
-def reach(half: float, normal: wp.vec3) -> float:
-    """Return how far a cube with sides of 2 ``half`` extends from its middle along ``normal``."""
-    return half * (wp.abs(normal[0]) + wp.abs(normal[1]) + wp.abs(normal[2]))
-
-
-@wp.func
-def touches(piece: Piece, middle: wp.vec3) -> bool:
-    """Tell whether the cube of voxel centres around ``middle`` may come into the piece; never no where it does."""
-    offset = middle - piece.origin
-    z = wp.dot(piece.axis, offset)
-    reach_z = reach(piece.half, piece.axis)
-    return (
-        z - reach_z <= piece.far
-        and z + reach_z >= piece.near
-        and wp.dot(piece.left, offset) <= reach(piece.half, piece.left)
-        and wp.dot(piece.right, offset) <= reach(piece.half, piece.right)
-        and wp.dot(piece.top, offset) <= reach(piece.half, piece.top)
-        and wp.dot(piece.bottom, offset) <= reach(piece.half, piece.bottom)
-    )
+# A point of a tile's piece is origin + z (x a + y b + c), with x and y the slopes of its ray and a, b, c the camera's
+# axes: its extremes over the piece are those of x a and of y b, added, times the nearest or the farthest z. Its planes
+# pass through the origin, but for two across the axis; n · (p − origin) ≤ 0 inside. On the CPU a thread has a row of
+# tiles, and remembers the blocks that it entered last: most tiles ask for those of the tile before.
+_FIND_IN_CPP = """
+#ifdef __CUDA_ARCH__
+    constexpr int REMEMBERED = 1;
+#else
+    constexpr int REMEMBERED = 64;
+#endif
+    int remembered[REMEMBERED][3];
+    for (int i = 0; i < REMEMBERED; ++i) remembered[i][0] = remembered[i][1] = remembered[i][2] = 2 * BLOCK_LIMIT;
+    const float side = SIDE * voxel_size, limit = side * BLOCK_LIMIT, band = 1.0001f * truncation;
+    // Half the distance between a block's outer voxel centres, a little more against rounding.
+    const float half = 0.5f * (SIDE - 1.0f) * voxel_size * 1.0001f, margin = 1e-3f;
+    const wp::mat44 &pose = world_from_camera;
+    auto lesser = [](float a, float b) { return a < b ? a : b; };
+    auto greater = [](float a, float b) { return a > b ? a : b; };
+    auto size = [](float a) { return a < 0.0f ? -a : a; };
+    // How far a cube with sides of 2 half extends from its middle along a normal.
+    auto reach = [&](const float *n) { return half * (size(n[0]) + size(n[1]) + size(n[2])); };
+    const float axis[3] = {pose.data[0][2], pose.data[1][2], pose.data[2][2]}, axis_reach = reach(axis);
+    // Bilinear sampling reaches up to a pixel beyond the outermost centres; a little more covers rounding.
+    const float top = (TILE * tile_v - 1.01f - cy) / fy, bottom = (TILE * tile_v + TILE + 0.01f - cy) / fy;
+    float above[3], below[3];
+    for (int i = 0; i < 3; ++i) {
+        above[i] = top * axis[i] - pose.data[i][1];
+        below[i] = pose.data[i][1] - bottom * axis[i];
+    }
+    const float top_reach = reach(above), bottom_reach = reach(below);
+    for (int tile_u = first_u; tile_u < first_u + count; ++tile_u) {
+        const wp::vec4 &range = ranges.data[((size_t)frame * ranges.shape[1] + tile_v) * ranges.shape[2] + tile_u];
+        const float left = (TILE * tile_u - 1.01f - cx) / fx, right = (TILE * tile_u + TILE + 0.01f - cx) / fx;
+        float to_left[3], to_right[3];
+        for (int i = 0; i < 3; ++i) {
+            to_left[i] = left * axis[i] - pose.data[i][0];
+            to_right[i] = pose.data[i][0] - right * axis[i];
+        }
+        const float left_reach = reach(to_left), right_reach = reach(to_right);
+        for (int piece = 0; piece < 2; ++piece) {
+            if (range.c[2 * piece] >= NONE_NEAR) continue;
+            const float near = greater(range.c[2 * piece] - band, 1e-6f), far = range.c[2 * piece + 1] + band;
+            int first[3], last[3];
+            for (int i = 0; i < 3; ++i) {
+                const float *to_world = pose.data[i];
+                const float least = lesser(left * to_world[0], right * to_world[0])
+                                    + lesser(top * to_world[1], bottom * to_world[1]) + to_world[2];
+                const float most = greater(left * to_world[0], right * to_world[0])
+                                   + greater(top * to_world[1], bottom * to_world[1]) + to_world[2];
+                const float low = to_world[3] + least * (least < 0.0f ? far : near);
+                const float high = to_world[3] + most * (most > 0.0f ? far : near);
+                if (!(greater(size(low), size(high)) < limit)) return OUT_OF_RANGE;
+                first[i] = (int)ceilf((low + voxel_size) / side - 1.0f - margin);
+                last[i] = (int)floorf(high / side + margin);
+            }
+            for (int x = first[0]; x <= last[0]; ++x)
+            for (int y = first[1]; y <= last[1]; ++y)
+            for (int z = first[2]; z <= last[2]; ++z) {
+                int *known = remembered[(x * 7 + y * 13 + z * 29) & (REMEMBERED - 1)];
+                if (known[0] == x && known[1] == y && known[2] == z) continue;
+                const float dx = side * x + half - pose.data[0][3], dy = side * y + half - pose.data[1][3];
+                const float dz = side * z + half - pose.data[2][3];
+                auto along = [&](const float *n) { return n[0] * dx + n[1] * dy + n[2] * dz; };
+                const float depth = along(axis);
+                const bool touches = (depth - axis_reach <= far) & (depth + axis_reach >= near)
+                                     & (along(to_left) <= left_reach) & (along(to_right) <= right_reach)
+                                     & (along(above) <= top_reach) & (along(below) <= bottom_reach);
+                if (!touches) continue;
+                const int result = enter_block(x, y, z);
+                if (result >= TABLE_FULL) return result;
+                known[0] = x; known[1] = y; known[2] = z;
+            }
+        }
+    }
+    return 0;
+"""
+_DECLARED = f"""
+    constexpr float SIDE = {BLOCK_SIDE}.0f, NONE_NEAR = {float(NONE_NEAR)}f;
+    constexpr int TILE = {TILE};
+"""
 
 
-@wp.func
-def enter_piece(piece: Piece, voxel_size: float, table: BlockArrays) -> int:
-    """Enter every block with a voxel centre in the piece; returns 0, or what stands in the way."""
-    side = _SIDE * voxel_size
-    limit = side * float(COORDINATE_LIMIT)
-    if wp.max(wp.max(wp.abs(piece.low)), wp.max(wp.abs(piece.high))) >= limit:
-        return _OUT_OF_RANGE
-    margin = 1.0e-3
-    first_x = int(wp.ceil((piece.low[0] + voxel_size) / side - 1.0 - margin))
-    first_y = int(wp.ceil((piece.low[1] + voxel_size) / side - 1.0 - margin))
-    first_z = int(wp.ceil((piece.low[2] + voxel_size) / side - 1.0 - margin))
-    last_x = int(wp.floor(piece.high[0] / side + margin))
-    last_y = int(wp.floor(piece.high[1] / side + margin))
-    last_z = int(wp.floor(piece.high[2] / side + margin))
-    for x in range(first_x, last_x + 1):
-        for y in range(first_y, last_y + 1):
-            for z in range(first_z, last_z + 1):
-                middle = side * wp.vec3(float(x), float(y), float(z)) + wp.vec3(piece.half, piece.half, piece.half)
-                if touches(piece, middle):
-                    result = enter_block(table, wp.vec3i(x, y, z))
-                    if result >= _TABLE_FULL:
-                        return result
-    return 0
-
-
-@wp.func
-def range_of_tiles(ranges: wp.array3d(dtype=wp.vec4), frame: int, u: int, v: int, size: int) -> wp.vec2:
-    """Return the nearest and farthest depth in a square of ``size`` tiles."""
-    near = float(NONE_NEAR)
-    far = float(0.0)
-    for row in range(v, wp.min(v + size, ranges.shape[1])):
-        for column in range(u, wp.min(u + size, ranges.shape[2])):
-            tile = ranges[frame, row, column]
-            near = wp.min(near, tile[0])
-            far = wp.max(far, wp.max(tile[1], tile[3]))
-    return wp.vec2(near, far)
-
-
-@wp.func
-def enter_range(
-    near: float,
-    far: float,
-    u: int,
-    v: int,
-    size: int,
-    pose: wp.mat44,
-    intrinsics: wp.vec4,
+@wp.func_native(ENTER_IN_CPP + _DECLARED + _FIND_IN_CPP)
+def enter_tiles(
+    frame: int,
+    tile_v: int,
+    first_u: int,
+    count: int,
+    ranges: wp.array3d(dtype=wp.vec4),
+    world_from_camera: wp.mat44,
+    fx: float,
+    fy: float,
+    cx: float,
+    cy: float,
     truncation: float,
     voxel_size: float,
     table: BlockArrays,
 ) -> int:
-    """Enter the blocks of a square of ``size`` tiles whose depths span [near, far]; returns as ``enter_piece``."""
-    # Bilinear sampling reaches up to a pixel beyond the outermost centres; a little more covers rounding.
-    left = float(u) * _TILE - 1.01
-    top = float(v) * _TILE - 1.01
-    width = float(size) * _TILE + 1.02
-    edges = wp.vec4(
-        (left - intrinsics[2]) / intrinsics[0],
-        (left + width - intrinsics[2]) / intrinsics[0],
-        (top - intrinsics[3]) / intrinsics[1],
-        (top + width - intrinsics[3]) / intrinsics[1],
-    )
-    band = 1.0001 * truncation
-    piece = piece_of_tile(pose, edges, wp.max(near - band, 1.0e-6), far + band, voxel_size)
-    return enter_piece(piece, voxel_size, table)
+    """Enter the blocks of ``count`` tiles of a row; returns 0, or what stands in the way."""
 
 
 @wp.kernel
 def _enter_blocks(
     first: int,
+    count: int,
     ranges: wp.array3d(dtype=wp.vec4),
     world_from_camera: wp.array(dtype=wp.mat44),
     intrinsics: wp.vec4,  # fx, fy, cx, cy
@@ -191,44 +139,24 @@ def _enter_blocks(
     answers: wp.array(dtype=int),
 ) -> None:
     index = wp.tid() + first
-    columns = (ranges.shape[2] + _CELL_TILES - 1) / _CELL_TILES
-    rows = (ranges.shape[1] + _CELL_TILES - 1) / _CELL_TILES
-    cell_u = (index % columns) * _CELL_TILES
-    cell_v = ((index / columns) % rows) * _CELL_TILES
-    frame = index / (columns * rows)
-    pose = world_from_camera[frame]
-    widest = _SIDE * voxel_size * wp.min(intrinsics[0], intrinsics[1]) / _TILE
-    # Squares of the cell in the order of a quadtree's walk: where one is entered whole, its parts are passed over.
-    step = int(0)
-    while step < _CELL_TILES * _CELL_TILES:
-        u = cell_u + (step & 1) + ((step >> 2) & 1) * 2
-        v = cell_v + ((step >> 1) & 1) + ((step >> 3) & 1) * 2
-        size = int(1)
-        span = wp.vec2(0.0, 0.0)
-        if step == 0:
-            size = _CELL_TILES
-        elif step % 4 == 0:
-            size = 2
-        whole = bool(False)
-        while size > 1 and not whole:
-            span = range_of_tiles(ranges, frame, u, v, size)
-            whole = span[1] == 0.0 or (span[1] - span[0] <= 2.0 * truncation and float(size) * span[1] <= widest)
-            if not whole:
-                size = size >> 1
-        problem = int(0)
-        if whole:
-            if span[1] > 0.0:
-                problem = enter_range(span[0], span[1], u, v, size, pose, intrinsics, truncation, voxel_size, table)
-        elif u < ranges.shape[2] and v < ranges.shape[1]:
-            tile = ranges[frame, v, u]
-            if tile[0] < NONE_NEAR:
-                problem = enter_range(tile[0], tile[1], u, v, 1, pose, intrinsics, truncation, voxel_size, table)
-            if tile[2] < NONE_NEAR and problem == 0:
-                problem = enter_range(tile[2], tile[3], u, v, 1, pose, intrinsics, truncation, voxel_size, table)
-        if problem != 0:
-            answers[index] = problem
-            break
-        step += size * size
+    parts = ranges.shape[2] / count
+    row = index / parts
+    frame = row / ranges.shape[1]
+    answers[index] = enter_tiles(
+        frame,
+        row - frame * ranges.shape[1],
+        (index - row * parts) * count,
+        count,
+        ranges,
+        world_from_camera[frame],
+        intrinsics[0],
+        intrinsics[1],
+        intrinsics[2],
+        intrinsics[3],
+        truncation,
+        voxel_size,
+        table,
+    )
 
 
 def launch_find_blocks(
@@ -240,18 +168,18 @@ def launch_find_blocks(
     truncation: float,
     voxel_size: float,
 ) -> wp.array:
-    """Enter the blocks of the batch's bands, as far as the table has room; returns (frames · cells,) answers.
+    """Enter the blocks of the batch's bands, as far as the table has room; returns answers.
 
-    They are 0, TABLE_FULL or OUT_OF_RANGE: what stood in the way of each cell of each frame.
+    They are 0, TABLE_FULL or OUT_OF_RANGE: what stood in the way of each thread's tiles.
     """
     camera = batch.camera
-    _, rows, columns = tiles.ranges.shape
-    cells = len(batch) * -(-rows // CELL_TILES) * -(-columns // CELL_TILES)
-    answers = wp.zeros(cells, dtype=int, device=table.device)
+    count = 1 if table.device.is_cuda else tiles.ranges.shape[2]
+    answers = wp.empty(tiles.ranges.size // count, dtype=int, device=table.device)
     launch_in_slabs(
         _enter_blocks,
-        dim=cells,
+        dim=len(answers),
         inputs=[
+            count,
             tiles.ranges,
             matrices.world_from_camera,
             wp.vec4(camera.fx, camera.fy, camera.cx, camera.cy),
@@ -260,7 +188,7 @@ def launch_find_blocks(
         ],
         outputs=[table.arrays, answers],
         device=table.device,
-        least_slab=64,
+        least_slab=8,
     )
     return answers
 

@@ -11,9 +11,9 @@ squares of tiles, which cover what the part's box may project to.
 import warp as wp
 
 from fusion.devices import launch_in_slabs
-from fusion.frames.depth_tiles import TILE, DepthTiles
+from fusion.frames.depth_tiles import DepthTiles
 from fusion.frames.farthest_depths import farthest_depths
-from fusion.frames.frame_batch import FrameBatch
+from fusion.frames.frame_batch import TILE, FrameBatch
 from fusion.frames.frame_matrices import FrameMatrices
 from fusion.volume.block_table import BlockTable
 

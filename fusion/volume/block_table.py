@@ -26,10 +26,6 @@ _FIELD_MASK = wp.constant(wp.int64((1 << _COORDINATE_BITS) - 1))
 
 
 PRESENT, ENTERED, TABLE_FULL, OUT_OF_RANGE = 0, 1, 2, 3
-_PRESENT = wp.constant(PRESENT)
-_ENTERED = wp.constant(ENTERED)
-_TABLE_FULL = wp.constant(TABLE_FULL)
-_OUT_OF_RANGE = wp.constant(OUT_OF_RANGE)
 
 
 class BlockLimitError(InputError):
@@ -74,64 +70,74 @@ def first_slot(key: wp.int64, capacity: int) -> int:
 
 
 # Warp's atomics are not atomic between threads of the CPU; these are, on every device.
-_CLAIM_SLOT = """
-    unsigned long long *held = (unsigned long long *)&keys.data[slot];
+_ATOMIC_IN_CPP = """
+    auto claim_slot = [](auto &keys, int slot, long long key) -> long long {
+        unsigned long long *held = (unsigned long long *)&keys.data[slot];
 #ifdef __CUDA_ARCH__
-    return (wp::int64)atomicCAS(held, ~0ull, (unsigned long long)key);
+        return (long long)atomicCAS(held, ~0ull, (unsigned long long)key);
 #else
-    return (wp::int64)__sync_val_compare_and_swap(held, ~0ull, (unsigned long long)key);
+        return (long long)__sync_val_compare_and_swap(held, ~0ull, (unsigned long long)key);
 #endif
-"""
-_COUNT_UP = """
+    };
+    auto count_up = [](auto &counts, int index) -> int {
 #ifdef __CUDA_ARCH__
-    return atomicAdd(&counts.data[index], 1);
+        return atomicAdd(&counts.data[index], 1);
 #else
-    return __sync_fetch_and_add(&counts.data[index], 1);
+        return __sync_fetch_and_add(&counts.data[index], 1);
 #endif
+    };
 """
 
 
-@wp.func_native(_CLAIM_SLOT)
+@wp.func_native(_ATOMIC_IN_CPP + "return claim_slot(keys, slot, key);")
 def claim_slot(keys: wp.array(dtype=wp.int64), slot: int, key: wp.int64) -> wp.int64:
     """Put ``key`` into a slot if that is empty; returns what it held before."""
 
 
-@wp.func_native(_COUNT_UP)
-def count_up(counts: wp.array(dtype=int), index: int) -> int:
-    """Add one to a count that other threads may raise too; returns what it was before."""
+ENTER_IN_CPP = (
+    _ATOMIC_IN_CPP
+    + f"""
+    constexpr int BLOCK_LIMIT = {COORDINATE_LIMIT}, KEY_BITS = {_COORDINATE_BITS};
+    constexpr int PRESENT = {PRESENT}, ENTERED = {ENTERED}, TABLE_FULL = {TABLE_FULL}, OUT_OF_RANGE = {OUT_OF_RANGE};
+"""
+    + """
+    auto enter_block = [&](int x, int y, int z) -> int {
+        x += BLOCK_LIMIT; y += BLOCK_LIMIT; z += BLOCK_LIMIT;
+        if ((x | y | z) < 0 || (x | y | z) >= 2 * BLOCK_LIMIT) return OUT_OF_RANGE;
+        const long long empty = -1, key = ((long long)x << KEY_BITS | y) << KEY_BITS | z;
+        const int capacity = table.keys.shape[0];
+        int slot = (int)((unsigned long long)key * 0x9E3779B97F4A7C15ull >> 33) & (capacity - 1);
+        // Each slot is read once: another thread may fill it in between. The search is bounded, since threads that find
+        // the table half full at the same time may fill it further.
+        for (int probe = 0; probe < capacity; ++probe, slot = (slot + 1) & (capacity - 1)) {
+            long long held = table.keys.data[slot];
+            if (held == empty) {
+                if (table.count.data[0] >= capacity / 2) return TABLE_FULL;
+                held = claim_slot(table.keys, slot, key);
+                if (held == empty) {
+                    const int number = count_up(table.count, 0);
+                    if (number >= table.blocks.shape[0]) return TABLE_FULL;
+                    table.numbers.data[slot] = number;
+                    table.blocks.data[number] = wp::vec3i(x - BLOCK_LIMIT, y - BLOCK_LIMIT, z - BLOCK_LIMIT);
+                    return ENTERED;
+                }
+            }
+            if (held == key) return PRESENT;
+        }
+        return TABLE_FULL;
+    };
+"""
+)
+"""C++ for the top of a native function with a ``table``: ``enter_block`` as the function below."""
 
 
-@wp.func
+@wp.func_native(ENTER_IN_CPP + "return enter_block(block[0], block[1], block[2]);")
 def enter_block(table: BlockArrays, block: wp.vec3i) -> int:
     """Enter a block unless it is there; returns ENTERED, PRESENT, or what stands in the way.
 
     A new block has the next number at once. TABLE_FULL means that it was not given one: the table has to grow, and
     everything be entered again.
     """
-    key = block_key(block)
-    if key == _EMPTY:
-        return _OUT_OF_RANGE
-    capacity = table.keys.shape[0]
-    slot = first_slot(key, capacity)
-    # Each slot is read once: another thread may fill it in between. The search is bounded, since threads that find
-    # the table half full at the same time may fill it further.
-    for _probe in range(capacity):
-        held = table.keys[slot]
-        if held == _EMPTY:
-            if table.count[0] >= capacity / 2:
-                return _TABLE_FULL
-            held = claim_slot(table.keys, slot, key)
-            if held == _EMPTY:
-                number = count_up(table.count, 0)
-                if number >= table.blocks.shape[0]:
-                    return _TABLE_FULL
-                table.numbers[slot] = number
-                table.blocks[number] = block
-                return _ENTERED
-        if held == key:
-            return _PRESENT
-        slot = (slot + 1) & (capacity - 1)
-    return _TABLE_FULL
 
 
 @wp.func
