@@ -16,12 +16,15 @@ class _Record(BaseModel):
 class PoseErrors(_Record):
     """Errors of a pose (``fusion.evaluation.pose_errors``); of the camera alone in a room, the others null there.
 
-    ``translation_m`` is how far the object's middle is off in the camera's frame, in a room how far the camera is. An
-    error in the image is null where a point comes to lie behind the camera; ``vsd`` is there where it was asked for.
+    ``fixed_rotation_deg`` is the rotation error as far as the shape fixes it: of a body of revolution, the tilt of its
+    axis. ``translation_m`` is how far the object's middle is off in the camera's frame, in a room how far the camera
+    is. An error in the image is null where a point comes to lie behind the camera; ``vsd`` is there where it was asked
+    for.
     """
 
     rotation_deg: float
     translation_m: float
+    fixed_rotation_deg: float | None = None
     add_m: float | None = None
     add_s_m: float | None = None
     projection_px: float | None = None

@@ -68,6 +68,16 @@ def median_rotation(**bar: float) -> Bar:
     )
 
 
+def median_fixed_rotation(**bar: float) -> Bar:
+    """Return the median rotation error as far as the shape fixes it: of a body of revolution, that of its axis."""
+    return Bar(
+        what="median rotation that the shape fixes",
+        unit="°",
+        measure=lambda cases: _finite(float(np.median(_errors(cases, lambda e: e.fixed_rotation_deg)))),
+        **bar,
+    )
+
+
 def median_translation(**bar: float) -> Bar:
     """Return the median translation error."""
     return Bar(

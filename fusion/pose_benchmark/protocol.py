@@ -10,6 +10,7 @@ from fusion.pose_benchmark.measures import (
     add_s_within,
     add_within,
     bop_recalls,
+    median_fixed_rotation,
     median_rotation,
     median_translation,
     nearest_found,
@@ -158,7 +159,8 @@ def _points_trials(width_px: int) -> tuple[Trial, ...]:
             repeats=STARTS_A_FRAME,
             bars=(
                 add_s_within(0.1, at_least=100),
-                median_rotation(at_most=3),
+                median_fixed_rotation(at_most=3),
+                median_rotation(),
                 median_translation(),
                 add_within(0.1),
                 projection_within(5),

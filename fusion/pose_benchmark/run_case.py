@@ -193,6 +193,7 @@ def pose_errors(task: Task, world_from_camera: Matrix, *, with_vsd: bool = False
     return PoseErrors(
         rotation_deg=rotation_error_deg(found, there),
         translation_m=translation_error(found, there, point_model=subject.centre_world),
+        fixed_rotation_deg=_fixed_rotation_deg(subject, found, there),
         add_m=average_distance(found, there, points),
         add_s_m=average_nearest_distance(found, there, points),
         projection_px=_or_none(projection_error_px(found, there, points, camera)),
@@ -200,6 +201,14 @@ def pose_errors(task: Task, world_from_camera: Matrix, *, with_vsd: bool = False
         mspd_px=_or_none(mspd(found, there, points, camera)),
         vsd=_vsd(task, world_from_camera) if with_vsd else None,
     )
+
+
+def _fixed_rotation_deg(subject: Subject, estimate: Matrix, truth: Matrix) -> float:
+    """Return the angle between two poses, without the turn about the axis of a body of revolution."""
+    if subject.revolution_axis is None:
+        return rotation_error_deg(estimate, truth)
+    found, there = estimate[:3, :3] @ subject.revolution_axis, truth[:3, :3] @ subject.revolution_axis
+    return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(found, there)), found @ there)))
 
 
 def _vsd(task: Task, world_from_camera: Matrix) -> tuple[float, ...]:

@@ -37,7 +37,8 @@ class Subject:
     """A model and the views to locate in it, none of which it was made from.
 
     ``points`` is the true shape in the model's frame, the world's; ``queries`` are the frames to locate, which ``view``
-    reads. ``identity`` tells this model from another one of the same name, for results that are kept.
+    reads. ``revolution_axis`` (3,) is that of a body which looks the same turned about it, as far as depth tells.
+    ``identity`` tells this model from another one of the same name, for results that are kept.
     """
 
     name: str
@@ -48,6 +49,7 @@ class Subject:
     view: Callable[[int], View]
     fused: Fused | None
     identity: str
+    revolution_axis: tuple[float, float, float] | None = None
 
     @property
     def centre_world(self) -> NDArray[np.float64]:

@@ -30,7 +30,8 @@ from fusion.reconstruction_files import installed_versions
 
 META_SUFFIX = "-meta.mat"
 MODELS_FOLDER = "models"
-VOXEL_SIZE = 0.002
+VOXEL_SIZE = 0.004
+"""Metres; about how far apart the models' points are, so that the surface has no fringes."""
 
 CLASSES = (
     "002_master_chef_can",
@@ -56,6 +57,9 @@ CLASSES = (
     "061_foam_brick",
 )
 """The data set's objects; a label image holds 1 for the first."""
+
+REVOLUTION_AXES: dict[str, tuple[float, float, float]] = {"025_mug": (0.0, 0.0, 1.0)}
+"""Of objects whose depth fixes no turn about this axis, or, of the mug, only where its handle is seen."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -110,6 +114,7 @@ def _subject(
         view=lambda frame: _view(folder, frame, label, metas[frame]),
         fused=None,
         identity=hashlib.sha256(told).hexdigest()[:16],
+        revolution_axis=REVOLUTION_AXES.get(name),
     )
 
 

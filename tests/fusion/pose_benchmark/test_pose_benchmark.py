@@ -201,7 +201,7 @@ def test_a_recording_without_a_true_mesh_is_taken_for_a_room(capsys, data, tmp_p
     assert {row["trial"] for row in rows} == {"features", "depth"}
     told = {path.parent.name: json.loads(path.read_text()) for path in (out / "cases").rglob("*.json")}
     # Boxes of one colour have no features: the nearest pose is handed on, and it is said.
-    assert told["features"]["verdict"] == "not found"
+    assert any("too little texture" in reason for reason in told["features"]["reasons"])
     np.testing.assert_allclose(told["features"]["estimate"], told["features"]["start"], atol=1e-12)
     assert told["depth"]["errors"]["translation_m"] < 0.02
     assert told["depth"]["errors"]["add_m"] is None
@@ -241,6 +241,10 @@ def test_objects_of_ycb_video_are_located_in_their_points(capsys, ycb_video, tmp
     assert rows["ADD-S-0.1d"]["reached"] == 100
     # The boxes turned by their true pose: a pose read the wrong way round would be off by far more.
     assert rows["median rotation"]["reached"] < 3
+    # What is taken for the mug may turn about its axis: the rest of the error is no larger than the whole.
+    for path in (tmp_path / "cases").rglob("*.json"):
+        errors = json.loads(path.read_text())["errors"]
+        assert 0 < errors["fixed_rotation_deg"] < errors["rotation_deg"]
 
 
 @pytest.mark.parametrize(
