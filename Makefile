@@ -13,7 +13,7 @@ VENV ?= .venv
 DEMO ?= demo
 RUN := $(VENV)/bin/python -m
 
-.PHONY: demo test lint extension test-extension test-gui clean system-libraries
+.PHONY: demo test lint extension test-extension test-blender test-gui clean system-libraries
 .DELETE_ON_ERROR:
 
 demo: $(DEMO)/comparison.png
@@ -48,6 +48,10 @@ extension: $(VENV)/dev.installed
 # Kept apart from the quick suite: they download some 300 MB, and a Blender of 2 GB.
 test-extension: $(VENV)/dev.installed
 	SCANBACK_TEST_WHEELS=1 $(RUN) pytest tests/blender_addon/test_zip_with_wheels.py
+
+# What the quick suite has no time for of the extension's steps.
+test-blender: $(VENV)/dev.installed
+	$(RUN) pytest -m slow tests/blender_addon
 
 test-gui: $(VENV)/dev.installed
 	SCANBACK_TEST_GUI=1 $(RUN) pytest tests/gui

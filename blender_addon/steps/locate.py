@@ -17,6 +17,7 @@ from ..settings import RECONSTRUCTION
 from .bring_in import bring_in
 from .scene_reference import SceneReference, push_undo
 
+DATASET_QUERIES = ("FRAME", "HELD_OUT")
 DEPTH_STEP_KEY = "depth_scale"
 
 
@@ -47,11 +48,12 @@ def locate_work(scene: SceneReference, folder: Path, query: LocateQuery) -> Call
             push_undo("Scanback: Locate")
         if not record.located:
             lost = record.lost[0]
-            raise ReconstructionError(f"The place of frame {lost.query} was not found: {lost.reasons}")
+            raise ReconstructionError(f"The place of query {lost.query} was not found: {lost.reasons}")
         first = record.located[0]
         more = f", and {len(record.located) - 1} more" if len(record.located) > 1 else ""
         verdict = f" ({first.verdict})" if first.verdict is not None else ""
-        return f"Nearest to frame {first.query} is frame {first.nearest}{verdict}{more}"
+        whose = f"frame {first.query}" if query.settings["query"] in DATASET_QUERIES else "this view"
+        return f"Nearest to {whose} is frame {first.nearest}{verdict}{more}"
 
     return work
 

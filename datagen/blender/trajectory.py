@@ -79,6 +79,8 @@ def f_curves(animated: bpy.types.Object) -> list[bpy.types.FCurve]:
     animation = animated.animation_data
     if animation is None or animation.action is None:
         return []
+    if not hasattr(animation, "action_slot"):
+        return list(animation.action.fcurves)
     bags = (strip.channelbag(animation.action_slot) for layer in animation.action.layers for strip in layer.strips)
     return [curve for bag in bags if bag is not None for curve in bag.fcurves]
 

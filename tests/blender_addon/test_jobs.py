@@ -1,0 +1,245 @@
+"""Jobs: what they say, how they end, and that they end with Blender."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import bpy
+import psutil
+import pytest
+
+import blender_addon
+from blender_addon.errors import ReconstructionError
+from blender_addon.jobs import runner
+from blender_addon.jobs.command import Command
+from blender_addon.jobs.job import Job, Pace, State, Work
+from blender_addon.jobs.progress import ProcessLog, Progress
+
+
+@pytest.fixture
+def extension(empty_scene: bpy.types.Scene) -> Iterator[None]:
+    blender_addon.register()
+    yield
+    blender_addon.unregister()
+
+
+def _finish(job: Job, *, seconds: float = 60) -> float:
+    """Advance a job to its end as the timer does; returns the longest tick in seconds of the processor."""
+    longest, end = 0.0, time.monotonic() + seconds
+    while not job.is_over:
+        assert time.monotonic() < end, list(job.log.lines)
+        began = time.thread_time()
+        pace = runner.advance()
+        longest = max(longest, time.thread_time() - began)
+        time.sleep(0.02 if pace is Pace.WAIT else 0)
+    return longest
+
+
+def _wait_until(is_so: Callable[[], bool], *, seconds: float = 30) -> bool:
+    end = time.monotonic() + seconds
+    while not is_so() and time.monotonic() < end:
+        time.sleep(0.05)
+    return is_so()
+
+
+def _render(folder: Path, frames: int) -> Command:
+    options = ("--frames", str(frames), "--size", "64x48", "--samples", "1")
+    return Command(program="datagen", arguments=("render", "suzanne", str(folder), *options), failure="No frames")
+
+
+def _rendering(folder: Path, frames: int = 500) -> Callable[[Job], Work[str]]:
+    def work(job: Job) -> Work[str]:
+        yield from job.run(_render(folder, frames))
+        return "rendered"
+
+    return work
+
+
+def test_progress_and_log_are_told_apart_however_the_stream_is_cut() -> None:
+    now = [100.0]
+    first, second = (b'{"stage": "Rendering", "done": %d, "total": 4}\n' % done for done in (0, 1))
+    text = b"hello\n" + first + b'{"not": 1}\n\n' + second + b"bye\n"
+    for size in (1, 7, 1000):
+        log = ProcessLog(clock=lambda: now[0])
+        for start in range(0, len(text), size):
+            log.feed(text[start : start + size])
+        now[0] += 10
+        assert list(log.lines) == ["hello", '{"not": 1}', "bye"]
+        assert log.progress == Progress(stage="Rendering", done=1, total=4, seconds=10)
+
+
+def test_the_time_left_is_that_of_the_steps_so_far() -> None:
+    progress = Progress(stage="rendering", done=15, total=60, seconds=30)
+    assert progress.seconds_left == 90
+    assert progress.describe() == "Rendering 15/60, 1:30 left"
+    assert Progress(stage="x", done=0, total=60, seconds=3).seconds_left is None
+    assert Progress(stage="x", done=0, total=0, seconds=3).fraction == 0
+
+
+@pytest.mark.usefixtures("extension")
+def test_a_program_that_refuses_is_reported_in_its_own_words(tmp_path: Path) -> None:
+    def work(job: Job) -> Work[str]:
+        command = Command(program="fusion", arguments=("estimate", str(tmp_path / "none")), failure="No estimate")
+        yield from job.run(command)
+        return "estimated"
+
+    job = runner.run_to_end("Estimate", work)
+    assert job.state is State.FAILED
+    assert job.message == f"No estimate: {tmp_path / 'none'}: no such folder; name the folder of a dataset"
+    assert runner.current_job() is None
+    assert runner.last_job() is job
+    assert not job.folder.exists()
+
+
+@pytest.mark.usefixtures("extension")
+def test_an_error_of_ours_is_reported_and_the_next_job_can_begin() -> None:
+    def work(job: Job) -> Work[str]:
+        yield Pace.MORE
+        raise ZeroDivisionError("oops")
+
+    job = runner.run_to_end("Test", work)
+    assert job.state is State.FAILED
+    assert "ZeroDivisionError: oops" in job.message
+    assert any("Traceback" in line for line in job.log.lines)
+
+    def fine(job: Job) -> Work[str]:
+        value = yield from job.in_thread(lambda: 6 * 7)
+        return f"done: {value}"
+
+    assert runner.run_to_end("Test", fine).message == "done: 42"
+
+
+@pytest.mark.usefixtures("extension")
+def test_one_job_at_a_time() -> None:
+    def endless(job: Job) -> Work[str]:
+        while True:
+            yield Pace.WAIT
+
+    job = runner.start("First", endless)
+    with pytest.raises(ReconstructionError, match="First is still running"):
+        runner.start("Second", endless)
+    with pytest.raises(RuntimeError, match="First is running"):
+        bpy.ops.scanback.estimate()
+    runner.end_all()
+    assert job.state is State.CANCELLED
+    assert runner.current_job() is None
+
+
+@pytest.mark.usefixtures("extension")
+def test_cancelling_leaves_a_scan_that_can_be_gone_on_with(tmp_path: Path) -> None:
+    folder = tmp_path / "dataset"
+    job = runner.start("Scan", _rendering(folder))
+    frames = folder / "frames"
+    longest = 0.0
+    while not (frames.is_dir() and any(frames.glob("*.pose.txt"))):
+        began = time.thread_time()
+        runner.advance()
+        longest = max(longest, time.thread_time() - began)
+        time.sleep(0.02)
+        assert not job.is_over, job.message
+    assert job.pid is not None
+    family = [psutil.Process(job.pid), *psutil.Process(job.pid).children(recursive=True)]
+    assert len(family) >= 2
+    assert bpy.ops.scanback.cancel() == {"FINISHED"}
+    longest = max(longest, _finish(job))
+    assert job.state is State.CANCELLED
+    assert longest < 0.05
+    assert _wait_until(lambda: not any(process.is_running() for process in family))
+    whole = {path.name.split(".")[0] for path in frames.glob("*.pose.txt")}
+    for name in whole:
+        assert (frames / f"{name}.color.png").is_file()
+        assert (frames / f"{name}.depth.png").is_file()
+    assert not list(folder.rglob(".unfinished*"))
+    assert not (folder / ".rendering.lock").exists()
+
+
+@pytest.mark.usefixtures("extension")
+def test_a_job_that_is_killed_is_reported_and_the_panel_usable_again(tmp_path: Path) -> None:
+    job = runner.start("Scan", _rendering(tmp_path / "dataset"))
+    while job.pid is None:
+        runner.advance()
+    os.kill(job.pid, signal.SIGKILL)
+    _finish(job)
+    assert job.state is State.FAILED
+    assert "killed" in job.message
+    assert bpy.ops.scanback.dismiss() == {"FINISHED"}
+    assert runner.last_job() is None
+
+
+STARTS_A_JOB = """
+import sys, time
+from pathlib import Path
+import bpy, blender_addon
+from blender_addon.jobs import runner
+from blender_addon.jobs.command import Command
+
+blender_addon.register()
+folder = Path(sys.argv[1])
+
+def work(job):
+    arguments = ("render", "suzanne", str(folder), "--frames", "500", "--size", "64x48", "--samples", "1")
+    yield from job.run(Command(program="datagen", arguments=arguments, failure="x"))
+    return ""
+
+job = runner.start("Scan", work)
+while not list(folder.glob("frames/*.pose.txt")):
+    runner.advance()
+    time.sleep(0.05)
+    assert not job.is_over, job.message
+print(job.pid, flush=True)
+time.sleep(600)
+"""
+
+
+def test_no_process_outlives_blender(tmp_path: Path) -> None:
+    """However Blender ends: here the hard way."""
+    blender = subprocess.Popen(
+        [sys.executable, "-c", STARTS_A_JOB, str(tmp_path / "dataset")], stdout=subprocess.PIPE, text=True
+    )
+    assert blender.stdout is not None
+    try:
+        line = blender.stdout.readline()
+        while not line.strip().isdecimal():
+            assert line, "Blender ended by itself"
+            line = blender.stdout.readline()
+        job = psutil.Process(int(line))
+        family = [job, *job.children(recursive=True)]
+        assert len(family) >= 2
+    finally:
+        blender.kill()
+        blender.wait()
+        blender.stdout.close()
+    assert _wait_until(lambda: not any(_lives(process) for process in family))
+
+
+def _lives(process: psutil.Process) -> bool:
+    try:
+        return process.is_running() and process.status() != psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return False
+
+
+@pytest.mark.usefixtures("extension")
+def test_taking_the_extension_away_ends_its_job(tmp_path: Path) -> None:
+    job = runner.start("Scan", _rendering(tmp_path / "dataset"))
+    while job.pid is None:
+        runner.advance()
+    process = psutil.Process(job.pid)
+    blender_addon.unregister()
+    try:
+        assert not _lives(process)
+        assert job.state is State.CANCELLED
+        assert not job.folder.exists()
+    finally:
+        blender_addon.register()
+
+
+@pytest.mark.usefixtures("extension")
+def test_without_a_place_for_its_files_a_job_does_not_begin(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ReconstructionError, match="cannot be written"):
+        Job("Scan", _rendering(tmp_path), cache=tmp_path / "file" / "jobs")
