@@ -3,6 +3,7 @@
 import os
 import platform
 import sys
+from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Literal
@@ -21,6 +22,7 @@ VOLUME_FILE = "volume.npz"
 POSES_FILE = "poses.json"
 
 Rows = list[list[float]]
+Answer = Literal["found", "doubtful", "not found"]
 
 
 class _Record(BaseModel):
@@ -90,7 +92,7 @@ class ReconstructionRecord(_Record):
 
 
 class StageResult(_Record):
-    """What a stage of refinement did (``fusion.pose.refinement.Refinement``)."""
+    """What a stage of refinement did (``fusion.pose.refinement.Refinement``); ``measurements`` are those it used."""
 
     stage: str
     converged: bool
@@ -98,17 +100,56 @@ class StageResult(_Record):
     reason: str
     residual: float | None
     unit: str
+    measurements: int
     inlier_share: float
     overlap: float | None
     score: float | None
 
 
-class RefinedPose(_Record):
-    """A located frame's refined pose, whether it is to be believed, and what the stages did."""
+class PoseUncertainty(_Record):
+    """How well depth or outline fixes a pose (``fusion.pose.uncertainty.Uncertainty``).
 
+    ``deviations_mm`` ascending, of a point ``radius_m`` from ``pivot_world``, along the principal directions of motion;
+    ``covariance`` (6, 6) of (v, ω), metres and radians, along the model's axes about the pivot; ``condition`` of the
+    information. ``weak`` names the directions that are not fixed, in the model's frame.
+    """
+
+    deviations_mm: list[float]
+    covariance: Rows
+    pivot_world: list[float]
+    radius_m: float
+    condition: float
+    weak: list[str]
+
+
+class AlternativePose(_Record):
+    """Another pose that explains the view as well: the model turned by ``turn_deg`` about ``axis``, its own frame.
+
+    ``symmetric`` where the model looks the same from all sides after that, so that both poses mean the same.
+    """
+
+    turn_deg: float
+    axis: list[float]
+    symmetric: bool
     world_from_camera: Rows
-    verdict: str
+    camera_from_object: Rows
+
+
+class RefinedPose(_Record):
+    """A located view's refined pose, whether it is to be believed, and what the stages did.
+
+    The poses are absent where the verdict is "not found". ``evidence`` are the shares of
+    ``fusion.pose.evidence.Evidence``, ``quality`` their product.
+    """
+
+    world_from_camera: Rows | None = None
+    camera_from_object: Rows | None = None
+    verdict: Answer
     reasons: list[str]
+    quality: float | None = None
+    evidence: dict[str, float]
+    uncertainty: PoseUncertainty | None = None
+    alternatives: list[AlternativePose]
     stages: list[StageResult]
     rotation_error_deg: float | None = None
     translation_error_m: float | None = None
@@ -117,18 +158,27 @@ class RefinedPose(_Record):
 class LocatedPose(_Record):
     """One entry of ``poses.json``.
 
-    ``query`` and ``nearest`` are frame numbers; ``score`` (m²) is the mean squared difference between the query's depth
-    and that of the model seen from ``world_from_camera``, the pose of ``nearest``. ``nearest_frames`` are the nearest,
-    best first; ``ambiguous`` where the view looks alike from another side. ``refined`` is there where stages of
+    ``query`` is the frame's number, 0 for a single image. ``verdict`` is found, doubtful or not found, with
+    ``reasons``; that of the refined pose where there is one. ``nearest`` is the number of a fused frame, or of a
+    rendered view of a CAD model; ``score`` (m²) is the mean squared difference between the query's depth and that of
+    the model seen from ``world_from_camera``, the pose of ``nearest`` (absent for a query without depth).
+    ``nearest_frames`` are the nearest, best first; ``ambiguous`` where the view looks alike from another side.
+
+    The world's frame is the object's: the reconstruction's, or that of the CAD model's file, in metres.
+    ``camera_from_object`` is the inverse of ``world_from_camera``: the object's pose in the camera's frame, where it is
+    the object that moves. Both are absent where the verdict is "not found". ``refined`` is there where stages of
     refinement were asked for. Errors are against the query's true pose.
     """
 
     query: int
-    nearest: int
-    score: float
-    world_from_camera: Rows
-    nearest_frames: list[int]
-    ambiguous: bool
+    verdict: Answer
+    reasons: list[str]
+    nearest: int | None = None
+    score: float | None = None
+    world_from_camera: Rows | None = None
+    camera_from_object: Rows | None = None
+    nearest_frames: list[int] | None = None
+    ambiguous: bool | None = None
     refined: RefinedPose | None = None
     rotation_error_deg: float | None = None
     translation_error_m: float | None = None
@@ -152,8 +202,8 @@ def read_record(folder: Path) -> ReconstructionRecord:
         raise InputError(describe_validation_error(path, error, ReconstructionRecord)) from error
 
 
-def poses_as_json(poses: list[LocatedPose]) -> list[dict[str, Any]]:
-    """Return poses as they stand in ``poses.json``; errors are left out where the truth is not known."""
+def poses_as_json(poses: Sequence[LocatedPose]) -> list[dict[str, Any]]:
+    """Return poses as they stand in ``poses.json``; what is not known is left out."""
     return [pose.model_dump(mode="json", exclude_none=True) for pose in poses]
 
 

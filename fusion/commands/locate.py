@@ -1,4 +1,4 @@
-"""``fusion locate``: the nearest fused pose of each frame."""
+"""``fusion locate``: where a view was taken from, or where an object lies in it."""
 
 import argparse
 import sys
@@ -9,72 +9,189 @@ from rich.console import Console
 from rich.table import Table
 
 from datagen.commands.job_options import add_job_options, reporting
+from datagen.errors import InputError
 from datagen.open_dataset import open_dataset
-from fusion.commands.arguments import (
-    add_depth_layer,
-    add_device,
-    add_frames,
-    add_json,
-    add_reconstruction,
-    print_json,
-)
-from fusion.pose.locate import locate
-from fusion.reconstruction_files import LocatedPose, poses_as_json
+from fusion.commands.arguments import add_device, add_frames, add_json, print_json
+from fusion.pose.epipolar import FEATURES
+from fusion.pose.locate import LocateOptions, frames_to_locate, locate_queries, write_poses
+from fusion.pose.located_picture import write_picture
+from fusion.pose.mask_source import MaskChoice
+from fusion.pose.query_source import ImageFiles, QuerySource, image_query
+from fusion.pose.target import is_model_file
+from fusion.reconstruction_files import POSES_FILE, LocatedPose, poses_as_json
+
+MOST_TOLD = 5
+
+DESCRIPTION = """\
+Find the 6-DoF pose of a view: of the camera in a scene that was scanned, or of an object before the camera.
+
+Each query gets the nearest view first, by geometry alone, then what refines it:
+  nearest     the nearest fused frame (or rendered view of a mesh); with depth by its shape, without by the outline
+  epipolar    features shared with the nearest frames (or renderings): needs colour and texture
+  silhouette  the mask's outline: needs --mask, or depth that shows the object alone
+  depth       the depth against the model's surface: needs depth; the most exact
+Without --stages it is nearest,depth, or nearest,silhouette where there is no depth.
+"""
+
+EPILOG = """\
+examples:
+  fusion locate room recording --frames ::10                       frames of another recording of a room
+  fusion locate mug table --mask layer --object mug                an object of a rendered dataset (--layers masks)
+  fusion locate mug table --mask derived                           the mask from depth: what stands on a support
+  fusion locate mug.ply --color c.png --depth d.png --depth-scale 0.001 --intrinsics 615 615 320 240 --mask m.png
+  fusion locate obj_000005.ply scene --model-scale 0.001 --mask 'mask_visib/{frame:06d}_000000.png'   BOP: millimetres
+  fusion locate mug.obj --color c.png --mask m.png --intrinsics camera.json      no depth: by the silhouette
+  fusion locate mug table --mask derived --picture located.png     the model's outline drawn over each query
+
+results (poses.json, --json): the world's frame is the object's frame: that of the reconstruction, or of the mesh's
+file after --model-scale (glTF turned so that z is up). world_from_camera is the camera in it; camera_from_object, its
+inverse, the object before the camera: for an object that moves. Metres, OpenCV axes (x right, y down, z forward).
+
+verdict: found; doubtful: the reasons say why, the pose may be right; not found: no pose is given. It comes from what
+the view shows for and against the pose (quality, evidence). uncertainty names the directions that nothing fixes;
+alternatives are other poses that explain the view as well, symmetric where the model looks the same in them.
+"""
 
 
 def add_command(commands: Any) -> None:
     """Add the command to the parser's ``commands``."""
-    command = commands.add_parser("locate", help="find the nearest fused pose of each frame")
-    add_reconstruction(command)
-    command.add_argument("dataset", type=Path, help="where the query frames are")
-    command.add_argument(
-        "--stages",
-        default="nearest",
-        metavar="A,B",
-        help="nearest, then what refines the pose: epipolar, silhouette, depth (default: nearest alone)",
+    command = commands.add_parser(
+        "locate",
+        help="find the pose of a view in a reconstruction, or of an object given as a mesh",
+        description=DESCRIPTION,
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    add_depth_layer(command)
+    command.add_argument(
+        "model", type=Path, help="a folder that fusion reconstruct wrote, or a mesh: .ply, .obj, .glb, .stl (.xyz)"
+    )
+    command.add_argument("dataset", type=Path, nargs="?", help="where the query frames are; not with --color, --depth")
+    _add_query(command)
     add_frames(command)
+    command.add_argument("--stages", metavar="A,B", help="nearest, then any of epipolar, silhouette, depth")
+    command.add_argument(
+        "--features", choices=FEATURES, default="sift", help="what the epipolar stage matches (default: sift)"
+    )
+    command.add_argument(
+        "--model-scale", type=float, metavar="S", help="metres a unit of the mesh's file: 0.001 for millimetres"
+    )
+    command.add_argument(
+        "--out", type=Path, metavar="FILE", help="write the result here (default: poses.json in the reconstruction)"
+    )
+    command.add_argument(
+        "--picture", type=Path, metavar="FILE.png", help="draw the model's outline over up to 8 queries"
+    )
     add_device(command)
     add_json(command)
     add_job_options(command)
     command.set_defaults(run=_run)
 
 
+def _add_query(command: argparse.ArgumentParser) -> None:
+    query = command.add_argument_group("the queries")
+    query.add_argument(
+        "--mask",
+        metavar="layer|derived|FILE",
+        help="where the object is: the dataset's layer masks; told from depth; or an image, {frame} standing for the"
+        " query's number",
+    )
+    query.add_argument("--object", metavar="NAME|N", help="which object of a mask that numbers several")
+    query.add_argument("--color", type=Path, metavar="FILE", help="one query's colour image, in place of a dataset")
+    query.add_argument(
+        "--depth",
+        metavar="LAYER|FILE",
+        help="of a dataset: sensor_depth in place of depth; else the query's 16-bit PNG",
+    )
+    query.add_argument("--depth-scale", type=float, metavar="S", help="metres a step of the depth image")
+    query.add_argument(
+        "--intrinsics", nargs="+", default=(), metavar="FX FY CX CY|FILE", help="the query's camera, in pixels"
+    )
+
+
 def _run(options: argparse.Namespace) -> None:
+    source = _queries(options)
+    settings = LocateOptions(
+        stages=options.stages, features=options.features, model_scale=options.model_scale, device=options.device
+    )
+    with reporting(options) as progress:
+        located = locate_queries(options.model, source, settings, progress=progress)
+    out = options.out
+    if out is None and options.dataset is not None and not is_model_file(options.model):
+        out = options.model / POSES_FILE
+    if out is not None:
+        write_poses(out, located)
+    if options.picture is not None:
+        write_picture(options.picture, source, located)
+    if options.json:
+        print_json(poses_as_json(located.results))
+    else:
+        _print_poses(located.results)
+    for result in located.results:
+        # What is found without reserve is told of a few queries, not of hundreds.
+        if result.verdict != "found" or len(located.results) <= MOST_TOLD:
+            for reason in result.reasons:
+                print(f"fusion: note: query {result.query}, {result.verdict}: {reason}", file=sys.stderr)
+
+
+def _queries(options: argparse.Namespace) -> QuerySource:
+    if options.object is not None and options.mask is None:
+        raise InputError(f"--object {options.object}: says which object of a mask; give --mask too")
+    mask = None if options.mask is None else MaskChoice(source=options.mask, object_name=options.object)
+    if options.dataset is None:
+        if options.frames is not None:
+            raise InputError(f"--frames {options.frames}: a slice over a dataset's frames; name the dataset too")
+        return image_query(
+            ImageFiles(
+                color=options.color,
+                depth=None if options.depth is None else Path(options.depth),
+                depth_scale=options.depth_scale,
+                intrinsics=tuple(options.intrinsics),
+                mask=mask,
+            )
+        )
+    for name in ("color", "depth_scale", "intrinsics"):
+        if getattr(options, name):
+            flag = "--" + name.replace("_", "-")
+            raise InputError(f"{flag}: is for one image; {options.dataset} is a dataset, which has its own")
     dataset = open_dataset(options.dataset)
     if options.depth is not None:
         dataset = dataset.with_depth_layer(options.depth)
-    with reporting(options) as progress:
-        located = locate(
-            options.reconstruction,
-            dataset,
-            frames=options.frames,
-            stages=options.stages,
-            device=options.device,
-            progress=progress,
-        )
-    for frame, reason in located.failures.items():
-        print(f"fusion: note: frame {frame} was not located: {reason}", file=sys.stderr)
-    if options.json:
-        print_json(poses_as_json(located.poses))
-    else:
-        _print_poses(located.poses)
+    return frames_to_locate(options.model, dataset, frames=options.frames, mask=mask)
 
 
 def _print_poses(poses: list[LocatedPose]) -> None:
     refined = any(pose.refined is not None for pose in poses)
-    columns = ("query", "nearest", "score (mm²)", "rotation error (°)", "translation error (m)")
-    table = Table(*columns, *(("verdict", "refined (°)", "refined (mm)") if refined else ()), box=None)
+    known = any(pose.rotation_error_deg is not None for pose in poses)
+    columns = ["query", "verdict", "nearest", "score (mm²)"]
+    columns += ["nearest (°)", "nearest (m)"] if known else []
+    if refined:
+        columns += ["quality", "x y z (m)", "known to (mm)"] + (["refined (°)", "refined (mm)"] if known else [])
+    table = Table(*columns, box=None)
     for pose in poses:
-        score = f"{1e6 * pose.score:.3f}{' (ambiguous)' if pose.ambiguous else ''}"
-        row = [str(pose.query), str(pose.nearest), score]
-        row += [_number(pose.rotation_error_deg, 2), _number(pose.translation_error_m, 4)]
-        if pose.refined is not None:
-            millimetres = pose.refined.translation_error_m and 1000 * pose.refined.translation_error_m
-            row += [pose.refined.verdict, _number(pose.refined.rotation_error_deg, 3), _number(millimetres, 2)]
-        table.add_row(*row)
+        table.add_row(*_row(pose, refined=refined, known=known))
     Console().print(table)
+
+
+def _row(pose: LocatedPose, *, refined: bool, known: bool) -> list[str]:
+    score = _number(None if pose.score is None else 1e6 * pose.score, 3)
+    row = [str(pose.query), pose.verdict, "–" if pose.nearest is None else str(pose.nearest)]
+    row.append(f"{score}{' (ambiguous)' if pose.ambiguous else ''}")
+    if known:
+        row += [_number(pose.rotation_error_deg, 2), _number(pose.translation_error_m, 4)]
+    if not refined:
+        return row
+    found = pose.refined
+    if found is None:
+        return [*row, *["–"] * (5 if known else 3)]
+    place = "–"
+    if found.camera_from_object is not None:
+        place = " ".join(f"{line[3]:.4f}" for line in found.camera_from_object[:3])
+    spread = None if found.uncertainty is None else found.uncertainty.deviations_mm[-1]
+    row += [_number(found.quality, 2), place, _number(spread, 2)]
+    if known:
+        millimetres = None if found.translation_error_m is None else 1000 * found.translation_error_m
+        row += [_number(found.rotation_error_deg, 3), _number(millimetres, 2)]
+    return row
 
 
 def _number(value: float | None, digits: int) -> str:

@@ -1,42 +1,37 @@
-"""Locating the frames of a dataset in a reconstruction on disk."""
+"""Locating views: frames of a dataset or single images, in a reconstruction on disk or against a CAD model."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datagen.atomic_write import write_json
-from datagen.dataset import DEPTH_PART, POSE_PART, Dataset
+from datagen.dataset import Dataset
 from datagen.errors import InputError
-from datagen.frame_selection import select_frames
-from datagen.open_dataset import open_dataset
 from datagen.progress import ProgressReporter, silent
-from datagen.rigid import Matrix, inverse, rigid, rotation_angle_deg
-from fusion.devices import load_kernels, resolve_device
-from fusion.pose.epipolar import ReferenceFrame
-from fusion.pose.nearest_pose import NearestPose, find_nearest_pose
-from fusion.pose.pose_model import prepare_model
+from datagen.rigid import Matrix
+from fusion.devices import Device, load_kernels, resolve_device
+from fusion.pose.confidence import assess
+from fusion.pose.epipolar import Features
+from fusion.pose.located_record import error_fields, pose_fields, refined_record
+from fusion.pose.mask_source import MaskChoice, mask_from_depth
+from fusion.pose.nearest_pose import find_nearest_pose
+from fusion.pose.nearest_silhouette import find_nearest_outline
 from fusion.pose.query import Query
-from fusion.pose.refinement import Refinement
-from fusion.pose.stages import StageName, parse_stages, refine
-from fusion.pose.verdict import judge
-from fusion.pose.view_index import index_views
+from fusion.pose.query_source import QuerySource, SourcedQuery, dataset_queries
+from fusion.pose.stages import StageName, default_stages, parse_stages, refine
+from fusion.pose.target import Target, is_model_file, open_cad_model, open_reconstruction
+from fusion.pose.verdict import Verdict, judge_nearest
+from fusion.pose.view_index import ViewIndex, index_views
 from fusion.reconstruction_files import (
     POSES_FILE,
-    RECORD_FILE,
-    VOLUME_FILE,
     LocatedPose,
     ReconstructionRecord,
     RefinedPose,
-    StageResult,
     poses_as_json,
     read_record,
 )
-from fusion.surface.marching_cubes import marching_cubes
-from fusion.surface.mesh import Mesh
-from fusion.volume.tsdf_volume import Volume
-from fusion.volume.volume_file import load_volume
 
 KERNEL_MODULES = (
     "fusion.volume.block_table",
@@ -47,151 +42,214 @@ KERNEL_MODULES = (
 )
 
 
-REFERENCES = 3
-"""How many of the nearest fused frames the epipolar stage looks for shared features in."""
-
-
 @dataclass(frozen=True, kw_only=True)
-class Located:
-    """The poses that were found, and why the others were not: {frame: reason}."""
+class LocateOptions:
+    """How views are located.
 
-    poses: list[LocatedPose]
-    failures: dict[int, str]
+    ``stages`` are those of ``fusion.pose.stages``, with commas between; None for the nearest pose refined by depth, or
+    by the silhouette where the queries have none. ``features`` are the epipolar stage's. ``model_scale`` is metres a
+    unit of a CAD model's file, None for 1, and not for reconstructions.
+    """
+
+    stages: str | None = None
+    features: Features = "sift"
+    model_scale: float | None = None
+    device: str = "auto"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Located:
+    """What was found of each query, in order, and what it was located in."""
+
+    results: list[LocatedPose]
+    target: Target
+
+    @property
+    def poses(self) -> list[LocatedPose]:
+        """Those that have a pose: found, or doubtful."""
+        return [result for result in self.results if result.world_from_camera is not None]
+
+    @property
+    def failures(self) -> dict[int, str]:
+        """Why the others were not found, by the query's number."""
+        return {result.query: "; ".join(result.reasons) for result in self.results if result.world_from_camera is None}
 
 
 def locate(
-    folder: Path,
+    target: Path,
     dataset: Dataset,
     *,
     frames: str | None = None,
-    stages: str = "nearest",
+    mask: MaskChoice | None = None,
+    stages: str | None = "nearest",
     device: str = "auto",
     progress: ProgressReporter = silent,
 ) -> Located:
-    """Find the nearest fused pose of each query frame and write ``poses.json`` into the reconstruction's folder.
+    """Locate frames of a dataset, and write ``poses.json`` into the reconstruction's folder.
 
-    ``frames`` is START:STOP:STEP over the dataset; without it, all frames are queries, but those that were fused where
-    the reconstruction was made from this dataset. ``stages`` are those of ``fusion.pose.stages``, with commas between;
-    what follows ``nearest`` refines the pose. A query needs depth alone; where it has a pose too, the error is
-    given. Raises InputError for files that cannot be used, and where no query could be located.
+    ``target`` is that folder, or a CAD model's file, where nothing is written. ``frames`` is START:STOP:STEP over the
+    dataset; without it, all frames are queries, but those that were fused where the reconstruction was made from this
+    dataset. ``mask`` says where the object is. A query needs depth; where it has a pose too, the error is given.
+    Raises InputError for files that cannot be used.
     """
-    wanted = parse_stages(stages)
-    record = read_record(folder)
-    queries = _queries(folder, record, dataset, frames)
-    dataset.require(queries, (DEPTH_PART,))
-    target = resolve_device(device)
-    load_kernels(KERNEL_MODULES, device=target, progress=progress)
-    candidates = [
-        rigid(frame.world_from_camera, source=f"{folder / RECORD_FILE}: trajectory: frame {frame.frame}")
-        for frame in record.trajectory
-    ]
-    volume = load_volume(folder / VOLUME_FILE, device=target)
-    surface = marching_cubes(volume, normals=True)
-    refiner = _Refiner(folder, record, volume, surface, wanted) if len(wanted) > 1 else None
-    views = index_views(surface, candidates, dataset.camera, device=target)
-    poses: list[LocatedPose] = []
-    failures: dict[int, str] = {}
-    advance = progress("locate", len(queries))
-    for query in queries:
-        depth = dataset.depth(query)
-        depth[depth > (record.depth_max_m or np.inf)] = 0
-        try:
-            nearest = find_nearest_pose(views, depth)
-        except InputError as error:
-            failures[query] = str(error)
-        else:
-            pose = candidates[nearest.index]
-            poses.append(
-                LocatedPose(
-                    query=query,
-                    nearest=record.trajectory[nearest.index].frame,
-                    score=float(nearest.scores[0]),
-                    world_from_camera=pose.tolist(),
-                    nearest_frames=[record.trajectory[i].frame for i in nearest.indices],
-                    ambiguous=nearest.ambiguous,
-                    refined=None if refiner is None else refiner(dataset, query, depth, nearest),
-                    **_errors(pose, dataset, query),
-                )
-            )
+    source = frames_to_locate(target, dataset, frames=frames, mask=mask)
+    located = locate_queries(target, source, LocateOptions(stages=stages, device=device), progress=progress)
+    if not is_model_file(target):
+        write_poses(target / POSES_FILE, located)
+    return located
+
+
+def frames_to_locate(target: Path, dataset: Dataset, *, frames: str | None, mask: MaskChoice | None) -> QuerySource:
+    """Return the queries that a dataset gives: see ``locate``."""
+    chosen = None if frames is not None or is_model_file(target) else _held_out(target, read_record(target), dataset)
+    return dataset_queries(dataset, frames=frames, chosen=chosen, mask=mask)
+
+
+def write_poses(path: Path, located: Located) -> None:
+    """Write what was found as JSON, atomically."""
+    write_json(path, poses_as_json(located.results))
+
+
+def locate_queries(
+    target: Path, source: QuerySource, options: LocateOptions, *, progress: ProgressReporter = silent
+) -> Located:
+    """Locate queries in a reconstruction's folder or against a CAD model's file; nothing is written.
+
+    Raises InputError for files that cannot be used, stages that the queries have nothing for, and a CAD model whose
+    size cannot be meant.
+    """
+    stages = _stages(options, source)
+    device = resolve_device(options.device)
+    load_kernels(KERNEL_MODULES, device=device, progress=progress)
+    opened = _open(target, source, options, stages, device)
+    if source.derive_mask and not source.has_depth:
+        raise InputError("--mask derived: it is derived from depth, which the query has none of; give --mask FILE")
+    views = index_views(opened.model.mesh, opened.views, source.camera, device=device)
+    locator = _Locator(target=opened, views=views, source=source, stages=stages, features=options.features)
+    results = []
+    advance = progress("locate", len(source.numbers))
+    for number in source.numbers:
+        results.append(locator.locate(source.read(number)))
         advance()
-    if not poses:
-        raise InputError(f"{dataset.folder}: no frame could be located; frame {queries[0]}: {failures[queries[0]]}")
-    write_json(folder / POSES_FILE, poses_as_json(poses))
-    return Located(poses=poses, failures=failures)
+    return Located(results=results, target=opened)
 
 
-class _Refiner:
-    """The model of a reconstruction, made ready once, and the frames that it was fused from."""
+def _stages(options: LocateOptions, source: QuerySource) -> tuple[StageName, ...]:
+    stages = default_stages(has_depth=source.has_depth) if options.stages is None else parse_stages(options.stages)
+    lacking = {
+        "depth": "" if source.has_depth else "depth, which the queries have none of; use nearest,silhouette",
+        "epipolar": "" if source.has_color else "colour, which the queries have none of; leave epipolar out",
+    }
+    for stage in stages:
+        if lacking.get(stage):
+            raise InputError(f"--stages {options.stages}: {stage} needs {lacking[stage]}")
+    return stages
 
-    def __init__(
-        self, folder: Path, record: ReconstructionRecord, volume: Volume, surface: Mesh, stages: tuple[StageName, ...]
-    ) -> None:
-        self._stages = stages
-        self._record = record
-        self._model = prepare_model(volume, mesh=surface)
-        self._fused = open_dataset(folder / record.dataset) if "epipolar" in stages else None
 
-    def __call__(self, dataset: Dataset, frame: int, depth: NDArray[np.float32], nearest: NearestPose) -> RefinedPose:
-        """Refine the pose of a frame from the nearest pose's estimate."""
-        color = dataset.color(frame) if "epipolar" in self._stages else None
-        query = Query(camera=dataset.camera, depth=depth, color=color)
-        results = refine(self._model, query, self._references(nearest), nearest.estimate, self._stages)
-        verdict = judge(results[-1])
-        return RefinedPose(
-            world_from_camera=results[-1].world_from_camera.tolist(),
-            # Where two alignments are about as good, refinement of one of them cannot tell which is right.
-            verdict="doubtful" if verdict.answer == "found" and nearest.ambiguous else verdict.answer,
-            reasons=[*verdict.reasons, *(["the view looks alike from another side"] if nearest.ambiguous else [])],
-            stages=[_stage_result(result) for result in results],
-            **_errors(results[-1].world_from_camera, dataset, frame),
+def _open(
+    target: Path, source: QuerySource, options: LocateOptions, stages: tuple[StageName, ...], device: Device
+) -> Target:
+    if is_model_file(target):
+        query = source.read(source.numbers[0]).query
+        valid = None if query.depth is None else query.valid_depth()
+        typical = float(np.median(valid[valid > 0])) if valid is not None and (valid > 0).any() else None
+        scale = 1.0 if options.model_scale is None else options.model_scale
+        return open_cad_model(target, scale=scale, camera=source.camera, typical_depth=typical, device=device)
+    if options.model_scale is not None:
+        raise InputError(f"--model-scale: {target} is a reconstruction, which is in metres; it is for CAD models")
+    return open_reconstruction(target, device=device, with_frames="epipolar" in stages)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Nearest:
+    """The first guess, by depth or by outline: see ``NearestPose`` and ``NearestOutline``."""
+
+    indices: np.ndarray
+    score: float | None
+    estimate: Matrix
+    ambiguous: bool
+    verdict: Verdict
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Locator:
+    target: Target
+    views: ViewIndex
+    source: QuerySource
+    stages: tuple[StageName, ...]
+    features: Features
+
+    @cached_property
+    def _refines(self) -> bool:
+        return len(self.stages) > 1
+
+    def locate(self, sourced: SourcedQuery) -> LocatedPose:
+        """Run the stages for one query."""
+        query = self._prepared(sourced.query)
+        try:
+            nearest = self._nearest(query)
+        except InputError as error:
+            return LocatedPose(query=sourced.number, verdict="not found", reasons=[str(error)])
+        refined = self._refined(query, nearest, sourced.truth) if self._refines else None
+        verdict = nearest.verdict if refined is None else Verdict(refined.verdict, tuple(refined.reasons))
+        pose = self.target.views[int(nearest.indices[0])]
+        numbers = [self.target.numbers[int(i)] for i in nearest.indices]
+        gone = verdict.answer == "not found"
+        return LocatedPose(
+            query=sourced.number,
+            verdict=verdict.answer,
+            reasons=list(verdict.reasons),
+            nearest=numbers[0],
+            score=nearest.score,
+            nearest_frames=numbers,
+            ambiguous=nearest.ambiguous,
+            refined=refined,
+            **({} if gone else pose_fields(pose)),
+            **({} if gone else error_fields(pose, sourced.truth)),
         )
 
-    def _references(self, nearest: NearestPose) -> list[ReferenceFrame]:
-        if self._fused is None:
-            return []
-        frames = [self._record.trajectory[i].frame for i in nearest.indices[:REFERENCES]]
-        return [
-            ReferenceFrame(
-                camera=self._fused.camera,
-                color=self._fused.color(i),
-                depth=self._fused.depth(i),
-                world_from_camera=self._fused.world_from_camera(i),
+    def _prepared(self, query: Query) -> Query:
+        """Return the query without what is too far away, and with the mask that its depth tells if that is wanted."""
+        if query.depth is None:
+            return query
+        depth = np.where(query.depth > self.target.depth_max, 0, query.whole_depth()).astype(np.float32)
+        mask = query.mask
+        if self.source.derive_mask:
+            mask = mask_from_depth(depth, query.camera, self.target.model.diameter)
+        return replace(query, depth=depth, mask=mask)
+
+    def _nearest(self, query: Query) -> _Nearest:
+        if query.mask is not None and not query.mask.any():
+            how = ": no piece of its depth has the model's size" if self.source.derive_mask else ""
+            raise InputError(f"the mask is empty{how}")
+        if query.depth is None:
+            outline = find_nearest_outline(self.views, self.target.model, query)
+            return _Nearest(
+                indices=outline.indices,
+                score=None,
+                estimate=outline.estimate,
+                ambiguous=outline.ambiguous,
+                verdict=judge_nearest(1 - outline.overlap, ambiguous=outline.ambiguous),
             )
-            for i in frames
-        ]
+        found = find_nearest_pose(self.views, query.depth, mask=query.mask)
+        return _Nearest(
+            indices=found.indices,
+            score=float(found.scores[0]),
+            estimate=found.estimate,
+            ambiguous=found.ambiguous,
+            verdict=judge_nearest(found.cost, ambiguous=found.ambiguous),
+        )
+
+    def _refined(self, query: Query, nearest: _Nearest, truth: Matrix | None) -> RefinedPose:
+        references = self.target.references(nearest.estimate, nearest.indices) if "epipolar" in self.stages else []
+        results = refine(self.target.model, query, references, nearest.estimate, self.stages, features=self.features)
+        return refined_record(results, assess(self.target.model, query, results), truth)
 
 
-def _stage_result(result: Refinement) -> StageResult:
-    return StageResult(
-        stage=result.stage,
-        converged=result.converged,
-        declined=result.declined,
-        reason=result.reason,
-        residual=result.residual if np.isfinite(result.residual) else None,
-        unit=result.unit,
-        inlier_share=float(result.inlier_share),
-        overlap=result.overlap,
-        score=result.score,
-    )
-
-
-def _errors(estimate: Matrix, dataset: Dataset, query: int) -> dict[str, float]:
-    """Return the estimate's errors by their names in ``poses.json``, none where the query's pose is not known."""
-    if not dataset.has(query, POSE_PART):
-        return {}
-    rotation_error_deg, translation_error_m = pose_error(estimate, dataset.world_from_camera(query))
-    return {"rotation_error_deg": rotation_error_deg, "translation_error_m": translation_error_m}
-
-
-def pose_error(estimate: Matrix, truth: Matrix) -> tuple[float, float]:
-    """Return the angle (degrees) and the distance (metres) between two world_from_camera poses."""
-    distance = float(np.linalg.norm(estimate[:3, 3] - truth[:3, 3]))
-    return rotation_angle_deg(inverse(estimate) @ truth), distance
-
-
-def _queries(folder: Path, record: ReconstructionRecord, dataset: Dataset, frames: str | None) -> tuple[int, ...]:
-    if frames is not None or (folder / record.dataset).resolve() != dataset.folder.resolve():
-        return select_frames(dataset.frame_ids, frames)
+def _held_out(folder: Path, record: ReconstructionRecord, dataset: Dataset) -> tuple[int, ...] | None:
+    """Return the frames that were not fused, None for all where the reconstruction is of another dataset."""
+    if (folder / record.dataset).resolve() != dataset.folder.resolve():
+        return None
     fused = {frame.frame for frame in record.trajectory}
     held_out = tuple(frame_id for frame_id in dataset.frame_ids if frame_id not in fused)
     if not held_out:

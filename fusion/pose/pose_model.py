@@ -1,6 +1,7 @@
 """What a view is located against: a volume, its surface, and distances around it, ready on a device."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import warp as wp
@@ -13,6 +14,7 @@ from fusion.pose.distance_grid import DistanceGrid, distance_grid
 from fusion.pose.model_field import ModelField, interpolated_distances, sample_points
 from fusion.surface.marching_cubes import marching_cubes
 from fusion.surface.mesh import Mesh
+from fusion.surface.mesh_ray_casting import Hierarchy, mesh_hierarchy
 from fusion.surface.surface_cells import find_surface_cells
 from fusion.volume.block_table import BLOCK_SIDE
 from fusion.volume.tsdf_volume import Volume
@@ -49,6 +51,11 @@ class PoseModel:
     def voxel_size(self) -> float:
         """Of the volume, metres."""
         return self.volume.voxel_size
+
+    @cached_property
+    def hierarchy(self) -> Hierarchy:
+        """The mesh's, to cast rays at."""
+        return mesh_hierarchy(self.mesh, device=self.device)
 
     def local(self, world_from_camera: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return poses (…, 4, 4) as local_from_camera."""

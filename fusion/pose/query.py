@@ -45,10 +45,14 @@ class Query:
 
         Raises InputError where the query has no depth.
         """
+        depth = self.whole_depth()
+        return depth if self.mask is None else np.where(self.mask, depth, 0).astype(np.float32)
+
+    def whole_depth(self) -> NDArray[np.float32]:
+        """Return depth with 0 wherever it is not finite or not positive, outside the mask too; errors as above."""
         if self.depth is None:
             raise InputError("query: has no depth image; refine it by its silhouette")
-        depth = np.where(np.isfinite(self.depth) & (self.depth > 0), self.depth, 0).astype(np.float32)
-        return depth if self.mask is None else np.where(self.mask, depth, 0).astype(np.float32)
+        return np.where(np.isfinite(self.depth) & (self.depth > 0), self.depth, 0).astype(np.float32)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -6,7 +6,7 @@ from typing import Literal, get_args
 from datagen.errors import InputError
 from datagen.rigid import Matrix
 from fusion.pose.depth_refinement import refine_with_depth
-from fusion.pose.epipolar import ReferenceFrame, rectify
+from fusion.pose.epipolar import EpipolarOptions, Features, ReferenceFrame, rectify
 from fusion.pose.pose_model import PoseModel
 from fusion.pose.query import Query
 from fusion.pose.refinement import Refinement, Stage
@@ -29,20 +29,27 @@ def parse_stages(text: str) -> tuple[StageName, ...]:
     return tuple(name for wanted in names for name in STAGES if name == wanted)
 
 
+def default_stages(*, has_depth: bool) -> tuple[StageName, ...]:
+    """Return the stages that queries with depth, or with a mask alone, are located by."""
+    return ("nearest", "depth") if has_depth else ("nearest", "silhouette")
+
+
 def refine(
     model: PoseModel,
     query: Query,
     references: Sequence[ReferenceFrame],
     start: Matrix,
     stages: Sequence[StageName],
+    *,
+    features: Features = "sift",
 ) -> list[Refinement]:
     """Run ``stages`` from ``start`` (world_from_camera), each from the pose that the one before it hands on.
 
-    ``references`` are the fused frames nearest to the start, for the epipolar stage. ``nearest`` is what the start came
-    from, and nothing is done for it.
+    ``references`` are the fused frames nearest to the start, for the epipolar stage, whose ``features`` are SIFT, ORB
+    or AKAZE. ``nearest`` is what the start came from, and nothing is done for it.
     """
     run: dict[Stage, Callable[[Matrix], Refinement]] = {
-        "epipolar": lambda pose: rectify(model, query, references, pose),
+        "epipolar": lambda pose: rectify(model, query, references, pose, options=EpipolarOptions(features=features)),
         "silhouette": lambda pose: refine_with_silhouette(model, query, pose),
         "depth": lambda pose: refine_with_depth(model, query, pose),
     }

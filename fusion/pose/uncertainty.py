@@ -16,7 +16,7 @@ class Uncertainty:
     """The spread of a pose about the true one.
 
     ``covariance`` (6, 6) is that of the twist (v, ω) with true = S exp(ξ) S⁻¹ · found, v in metres and ω in radians
-    along the world's axes, S the translation to ``pivot_world``. ``deviations_m`` (6,) ascending, are standard
+    along the model's axes, S the translation to ``pivot_world``. ``deviations_m`` (6,) ascending, are standard
     deviations along the principal directions, as the motion of a point at ``radius_m`` from the pivot; ``directions``
     (6, 6) are these in rows, (v, ω · radius) of length 1. ``weak`` names in words those that are not fixed.
     """
@@ -46,23 +46,63 @@ def uncertainty(
     information = scale[:, None] * hessian * scale
     values, vectors = np.linalg.eigh(information)
     values = np.maximum(values, 1e-12 * max(values[-1], 1e-300))
-    covariance = (vectors / values) @ vectors.T * sigma**2
-    order = np.argsort(-values)
-    deviations = sigma / np.sqrt(values[order])
-    directions = vectors.T[order]
-    weak = tuple(
-        describe_direction(direction)
-        for direction, deviation in zip(directions, deviations, strict=True)
-        if deviation > WEAK_RATIO * float(np.sqrt(deviations[2] * deviations[3]))
-    )
+    return _of_spread(sigma**2 / values[::-1], vectors.T[::-1], scale, pivot_world, radius_m)
+
+
+def _of_spread(
+    variances: NDArray[np.float64],
+    directions: NDArray[np.float64],
+    scale: NDArray[np.float64],
+    pivot_world: NDArray[np.float64],
+    radius_m: float,
+) -> Uncertainty:
+    """Return the uncertainty of variances (6,) ascending along directions (6, 6), in units of motion."""
+    deviations = np.sqrt(np.maximum(variances, 0))
+    middle = float(np.sqrt(deviations[2] * deviations[3]))
+    covariance = (directions.T * variances) @ directions
     return Uncertainty(
         covariance=scale[:, None] * covariance * scale,
         pivot_world=pivot_world,
         radius_m=radius_m,
         deviations_m=deviations,
         directions=directions,
-        weak=weak,
+        weak=tuple(
+            describe_direction(direction)
+            for direction, deviation in zip(directions, deviations, strict=True)
+            if deviation > WEAK_RATIO * middle
+        ),
     )
+
+
+def clustered_uncertainty(
+    jacobian: NDArray[np.float64],
+    residuals: NDArray[np.float64],
+    weights: NDArray[np.float64],
+    clusters: NDArray[np.int64],
+    *,
+    pivot_world: NDArray[np.float64],
+    radius_m: float,
+) -> Uncertainty:
+    """Return the uncertainty that residuals show which are alike within clusters, as neighbouring pixels' are.
+
+    ``jacobian`` (n, 6) by the twist, ``residuals`` (n,) metres, ``weights`` (n,) robust, ``clusters`` (n,) the number
+    of each one's cluster. Covariance = H⁻¹ (Σ gᵢ gᵢᵀ) H⁻¹ · m / (m − 1), with gᵢ = Σ w r J over cluster i of m (White
+    1980; Liang and Zeger 1986): errors that a cluster shares do not average out as noise of single pixels does.
+    """
+    scale = np.array([1, 1, 1, 1 / radius_m, 1 / radius_m, 1 / radius_m])
+    scaled = jacobian * scale
+    hessian = (weights[:, None] * scaled).T @ scaled
+    values, vectors = np.linalg.eigh(hessian)
+    back = (vectors / np.maximum(values, 1e-12 * max(values[-1], 1e-300))) @ vectors.T
+    _numbers, cluster = np.unique(clusters, return_inverse=True)
+    count = int(cluster.max()) + 1
+    slopes = np.zeros((count, 6))
+    np.add.at(slopes, cluster, (weights * residuals)[:, None] * scaled)
+    covariance = back @ (slopes.T @ slopes) @ back * (count / max(count - 1, 1))
+    # Noise of single pixels alone is the least that it can be, where clusters are few.
+    alone = float((weights * residuals**2).sum() / weights.sum()) * back
+    spread, directions = np.linalg.eigh(0.5 * (covariance + covariance.T) + alone)
+    return _of_spread(spread, directions.T, scale, pivot_world, radius_m)
 
 
 def describe_direction(direction: NDArray[np.float64]) -> str:
@@ -79,6 +119,6 @@ def _axis(vector: NDArray[np.float64]) -> str:
     unit = vector / np.linalg.norm(vector)
     largest = int(np.argmax(np.abs(unit)))
     if abs(unit[largest]) > 0.98:
-        return f"the world's {_AXES[largest]}"
+        return f"the model's {_AXES[largest]}"
     unit = unit * np.sign(unit[largest])
     return "(" + ", ".join(f"{value:.2f}" for value in unit) + ")"

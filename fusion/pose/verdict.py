@@ -1,22 +1,23 @@
-"""Whether a refined pose is to be believed: found, doubtful, or not found, with the reasons.
+"""Whether a pose is to be believed: found, doubtful, or not found, with the reasons.
 
-What speaks is how well the pose explains the view, both ways together (``Refinement.score``). The bounds come from a
-bunny, a box, a ball and a torus held against Suzanne, and three objects of real frames against each other: right poses
-scored 0.65 to 0.99, wrong objects 0.1 to 0.73. They were read off these data and not tried on others.
+What speaks is the evidence of the view itself (``fusion.pose.evidence``), whatever stage found the pose. How the bounds
+were chosen, and how often they are right on objects that they were not chosen on, is in benchmarks/RESULTS.md.
 """
 
 from dataclasses import dataclass
-from typing import Literal
 
+from fusion.pose.evidence import Evidence
 from fusion.pose.refinement import Refinement
+from fusion.reconstruction_files import Answer
 
-Answer = Literal["found", "doubtful", "not found"]
+FOUND_FROM, DOUBTFUL_FROM = 0.85, 0.55
+"""Of the quality of a query with depth."""
+OUTLINE_FOUND_FROM, OUTLINE_DOUBTFUL_FROM = 0.9, 0.8
+"""Of the quality of a query with a mask alone."""
 
-FOUND_FROM, DOUBTFUL_FROM = 0.75, 0.6
-"""Scores: in those data every wrong object stayed below the first, every right one above the second."""
-
-_FOUND_OVERLAP, _DOUBTFUL_OVERLAP = 0.9, 0.8
-_FEWEST_ON_OUTLINE, _FEWEST_MATCHES = 0.8, 30
+FEWEST_PIXELS = 60
+_NEAREST_COST = 0.4
+"""Of a query's alignment with the nearest view, up to which it is taken for right as long as nothing refines it."""
 
 
 @dataclass(frozen=True)
@@ -27,54 +28,64 @@ class Verdict:
     reasons: tuple[str, ...] = ()
 
 
-def judge(refinement: Refinement) -> Verdict:
-    """Say whether a stage's pose is to be believed.
+def quality(evidence: Evidence) -> float:
+    """Return how well a pose explains a view, 0 to 1: the product of all shares that there are.
 
-    With depth by its score; of a silhouette by the masks' overlap, which cannot tell objects of one outline apart; of
-    features by their number. Directions that nothing fixes are named, but do not make a pose doubtful: that an object
-    is symmetric is no fault of the pose.
+    A right pose has all of them near 1; a wrong object fails at least one of them, and often each in part.
     """
-    if refinement.declined:
-        return Verdict("not found", (refinement.reason,))
-    by_stage = {"depth": _by_depth, "silhouette": _by_silhouette, "epipolar": _by_features}
-    answer, reasons = by_stage[refinement.stage](refinement)
+    if evidence.pixels == 0 or (evidence.agreeing is None and evidence.covered is None):
+        return 0.0
+    product = 1.0 if evidence.agreeing is None else evidence.agreeing
+    for share in (evidence.covered, evidence.filled, evidence.slopes):
+        product *= 1.0 if share is None else share
+    if evidence.free is not None:
+        product *= 1 - evidence.free
+    return float(product)
+
+
+def judge(refinement: Refinement, evidence: Evidence) -> Verdict:
+    """Say whether the pose of a refinement is to be believed, given what the view says of it.
+
+    A mask alone cannot tell objects of one outline apart. Directions that nothing fixes do not make a pose doubtful:
+    that an object is symmetric is no fault of the pose.
+    """
+    pixels = evidence.depth_pixels if refinement.stage == "depth" else evidence.pixels
+    if pixels < FEWEST_PIXELS:
+        reason = f"{pixels} pixels are there to compare, fewer than {FEWEST_PIXELS}"
+        return Verdict("not found", (refinement.reason or reason,))
+    with_depth = evidence.agreeing is not None
+    found_from, doubtful_from = (
+        (FOUND_FROM, DOUBTFUL_FROM) if with_depth else (OUTLINE_FOUND_FROM, OUTLINE_DOUBTFUL_FROM)
+    )
+    value = quality(evidence)
+    answer: Answer = "found" if value >= found_from else "doubtful" if value >= doubtful_from else "not found"
+    reasons = () if answer == "found" else (f"{_explained(evidence)}: quality {value:.2f}, {found_from} is sure",)
     if not refinement.converged:
         answer = "doubtful" if answer == "found" else answer
         reasons = (*reasons, refinement.reason)
-    if refinement.uncertainty is not None:
-        reasons = (*reasons, *(f"not fixed: {direction}" for direction in refinement.uncertainty.weak))
     return Verdict(answer, reasons)
 
 
-def _graded(value: float, found_from: float, doubtful_from: float) -> Answer:
-    return "found" if value >= found_from else "doubtful" if value >= doubtful_from else "not found"
+def judge_nearest(cost: float, *, ambiguous: bool) -> Verdict:
+    """Say whether a nearest pose that nothing refines is to be believed, by the cost of its alignment, 0 to 1."""
+    reasons = []
+    if cost > _NEAREST_COST:
+        reasons.append(f"the view agrees poorly with the nearest one, cost {cost:.2f}; refine it to be sure")
+    if ambiguous:
+        reasons.append("the view looks alike from another side")
+    return Verdict("doubtful" if reasons else "found", tuple(reasons))
 
 
-def _by_depth(refinement: Refinement) -> tuple[Answer, tuple[str, ...]]:
-    assert refinement.score is not None, "a refinement with depth has a score"
-    answer = _graded(refinement.score, FOUND_FROM, DOUBTFUL_FROM)
-    if answer == "found":
-        return answer, ()
-    overlap = refinement.overlap or 0.0
-    return answer, (
-        f"the model explains {refinement.inlier_share:.0%} of the query's points, and the query shows {overlap:.0%} of"
-        f" what should be seen of the model: score {refinement.score:.2f}, at least {FOUND_FROM} is sure",
-    )
-
-
-def _by_silhouette(refinement: Refinement) -> tuple[Answer, tuple[str, ...]]:
-    overlap = refinement.overlap or 0.0
-    answer = _graded(overlap, _FOUND_OVERLAP, _DOUBTFUL_OVERLAP)
-    if answer == "found" and refinement.inlier_share < _FEWEST_ON_OUTLINE:
-        answer = "doubtful"
-    if answer == "found":
-        return answer, ()
-    return answer, (
-        f"the silhouettes overlap by {overlap:.0%}, and {refinement.inlier_share:.0%} of the outline is within a pixel",
-    )
-
-
-def _by_features(refinement: Refinement) -> tuple[Answer, tuple[str, ...]]:
-    if refinement.used >= _FEWEST_MATCHES:
-        return "found", ()
-    return "doubtful", (f"only {refinement.used} matches, at least {_FEWEST_MATCHES} are sure",)
+def _explained(evidence: Evidence) -> str:
+    """Say in words what the model explains of the view, and what not."""
+    parts = []
+    if evidence.covered is not None:
+        parts.append(f"the model covers {evidence.covered:.0%} of the mask, and {evidence.filled or 0:.0%} of it is in")
+    if evidence.agreeing is not None:
+        where = "the object's" if evidence.covered is not None else "all (no mask tells the object's)"
+        parts.append(f"depth is the model's at {evidence.agreeing:.0%} of {where} pixels")
+    if evidence.free:
+        parts.append(f"the view looks through {evidence.free:.0%} of what should be seen of the model")
+    if evidence.slopes is not None and evidence.slopes < 0.9:
+        parts.append(f"{evidence.slopes:.0%} of it slopes as the model does")
+    return "; ".join(parts)

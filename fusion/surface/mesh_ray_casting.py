@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, TypeAlias
 
 import numpy as np
 import warp as wp
@@ -12,6 +13,9 @@ from fusion.devices import Device, launch_in_slabs
 from fusion.surface.mesh import Mesh
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+
+Hierarchy: TypeAlias = Any
+"""Warp's mesh with its tree of boxes; the type checker passes Warp over."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,22 +60,33 @@ def _cast_rays(
         barycentric[view, v, u] = wp.vec2(hit.u, hit.v)
 
 
+def mesh_hierarchy(mesh: Mesh, *, device: Device) -> Hierarchy:
+    """Return a mesh's bounding volume hierarchy on a device, for whoever casts rays at it more than once."""
+    return wp.Mesh(
+        points=wp.array(mesh.vertices, dtype=wp.vec3, device=device),
+        indices=wp.array(mesh.triangles.ravel(), dtype=int, device=device),
+    )
+
+
 def cast_rays_at_mesh(
-    mesh: Mesh, camera: PinholeCamera, poses: Sequence[Matrix], *, device: Device, depth_only: bool = False
+    mesh: Mesh,
+    camera: PinholeCamera,
+    poses: Sequence[Matrix],
+    *,
+    device: Device,
+    depth_only: bool = False,
+    hierarchy: Hierarchy | None = None,
 ) -> MeshHits:
     """Cast a ray through each pixel centre of ``camera`` from each of ``poses`` (world_from_camera).
 
-    With ``depth_only``, the other two arrays are empty.
+    With ``depth_only``, the other two arrays are empty. ``hierarchy`` is the mesh's, if it is there already.
     """
     shape = (len(poses), camera.height, camera.width)
     depth = wp.empty(shape, dtype=float, device=device)
     rest = (0, 0, 0) if depth_only else shape
     triangles = wp.empty(rest, dtype=int, device=device)
     barycentric = wp.empty(rest, dtype=wp.vec2, device=device)
-    hierarchy = wp.Mesh(
-        points=wp.array(mesh.vertices, dtype=wp.vec3, device=device),
-        indices=wp.array(mesh.triangles.ravel(), dtype=int, device=device),
-    )
+    hierarchy = hierarchy or mesh_hierarchy(mesh, device=device)
     launch_in_slabs(
         _cast_rays,
         dim=depth.size,

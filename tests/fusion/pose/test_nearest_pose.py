@@ -5,7 +5,7 @@ import trimesh
 from datagen.camera import PinholeCamera
 from datagen.errors import InputError
 from datagen.rigid import look_at
-from fusion.pose.locate import pose_error
+from fusion.pose.located_record import pose_error
 from fusion.pose.nearest_pose import find_nearest_pose, pose_distances
 from fusion.pose.view_index import index_views
 from fusion.surface.mesh import Mesh

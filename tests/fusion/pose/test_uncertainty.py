@@ -26,7 +26,7 @@ def test_a_plane_fixes_three_directions_and_names_the_three_that_slide():
     assert found.covariance[2, 2] == pytest.approx(0.002**2 / len(points))
     assert found.covariance[3, 3] == pytest.approx(0.002**2 / (points[:, 1] ** 2).sum())
     assert len(found.weak) == 3
-    assert "turning about the world's z" in found.weak
+    assert "turning about the model's z" in found.weak
     assert found.condition > 1e6
 
 
@@ -63,7 +63,7 @@ def test_more_points_make_it_surer_by_their_root():
 
 
 def test_directions_are_named_by_what_moves():
-    assert describe_direction(np.array([0, 0, 0, 0, 0, -1.0])) == "turning about the world's z"
-    assert describe_direction(np.array([0, 1.0, 0, 0, 0, 0])) == "sliding along the world's y"
+    assert describe_direction(np.array([0, 0, 0, 0, 0, -1.0])) == "turning about the model's z"
+    assert describe_direction(np.array([0, 1.0, 0, 0, 0, 0])) == "sliding along the model's y"
     assert describe_direction(np.array([-0.6, 0.8, 0, 0, 0, 0])) == "sliding along (-0.60, 0.80, 0.00)"
-    assert "while turning about the world's x" in describe_direction(np.array([0, 0.7, 0, 0.7, 0, 0]))
+    assert "while turning about the model's x" in describe_direction(np.array([0, 0.7, 0, 0.7, 0, 0]))
