@@ -1,8 +1,10 @@
 """A job: work that goes on in small steps until it is done, fails or is cancelled."""
 
+import contextlib
 import shutil
 import tempfile
 import threading
+import time
 import traceback
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
@@ -16,6 +18,8 @@ from .process import Process, signal_name
 from .progress import ProcessLog, Progress
 
 _Result = TypeVar("_Result")
+
+ABANDONED_SECONDS = 3 * 24 * 3600.0
 
 
 class Pace(Enum):
@@ -51,6 +55,15 @@ class Outcome:
     message: str
 
 
+def _remove_abandoned(cache: Path) -> None:
+    """Remove the folders of jobs whose Blender was killed: nothing was written there for a long time."""
+    for folder in cache.glob("job-*"):
+        with contextlib.suppress(OSError):  # another Blender may remove its own meanwhile
+            newest = max(path.stat().st_mtime for path in (folder, *folder.iterdir()))
+            if time.time() - newest > ABANDONED_SECONDS:
+                shutil.rmtree(folder, ignore_errors=True)
+
+
 class Job:
     """One job with its folder for files that nobody needs afterwards. ``work`` gets the job itself."""
 
@@ -62,6 +75,7 @@ class Job:
         self.log = ProcessLog()
         try:
             cache.mkdir(parents=True, exist_ok=True)
+            _remove_abandoned(cache)
             self.folder = Path(tempfile.mkdtemp(prefix="job-", dir=cache))
         except OSError as error:
             raise ReconstructionError(

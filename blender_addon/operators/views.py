@@ -8,6 +8,7 @@ import numpy as np
 
 from ..errors import ReconstructionError
 from ..files.reconstruction_files import Record
+from ..results.camera_conversion import set_render_size
 from ..results.look_through import FRAME, RANKING, look_through, neighbour, point_is_visible, view_camera
 from ..results.nearest_frames import frames_seeing
 from ..results.replay_camera import add_replay
@@ -24,6 +25,12 @@ TARGETS = (
 class _ViewOperator:
     bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012
 
+    match_render_size: bpy.props.BoolProperty(
+        name="Match Render Size",
+        description="Give renders the size and pixel aspect of the scan, so that the camera shows what the scan saw",
+        default=True,
+    )
+
     @classmethod
     def poll(cls, context: Any) -> bool:
         """Tell whether there is a reconstruction to look at."""
@@ -36,6 +43,8 @@ class _ViewOperator:
         """Do it, and report what cannot be done."""
         try:
             message = self.look(context)
+            if self.match_render_size:
+                set_render_size(context.scene.render, record_of(shown_collection(context)).intrinsics)
         except ReconstructionError as error:
             self.report({"ERROR"}, str(error))  # type: ignore[attr-defined]
             return {"CANCELLED"}

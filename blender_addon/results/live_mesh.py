@@ -11,6 +11,7 @@ from ..files.mesh_arrays import MeshArrays, mesh_arrays
 from ..files.ply_mesh import read_colored_mesh
 from .mesh_import import fill_mesh, object_of
 from .scene_collection import LIVE_PART, MESH_PART, PART_KEY, find_collection, parts
+from .viewport_colors import show_vertex_colors
 
 NAME = "Scanback live"
 
@@ -77,6 +78,7 @@ class LiveMesh:
             item.hide_select = True
             scene.collection.objects.link(item)
             self._hide_older(scene, hidden=True)
+            show_vertex_colors()
             return
         older, item.data = item.data, data
         for material in older.materials:

@@ -9,15 +9,19 @@ from ..files.reconstruction_files import Reconstruction, read_reconstruction
 from ..jobs.job import Job, Pace, Work
 from ..results.import_reconstruction import MESH_NAME, place_reconstruction
 from ..results.mesh_import import fill_mesh, object_of
+from ..results.viewport_colors import show_vertex_colors
 from .scene_reference import SceneReference, push_undo
 
 ATTEMPTS = 3
 
 
 def bring_in(
-    job: Job, scene: SceneReference, folder: Path, *, undo: str, match_render_size: bool = True
+    job: Job, scene: SceneReference, folder: Path, *, undo: str, match_render_size: bool = False
 ) -> Work[Reconstruction]:
-    """Read a reconstruction in a thread and put it into the scene; one undo step, named ``undo``."""
+    """Read a reconstruction in a thread and put it into the scene; one undo step, named ``undo``.
+
+    The size of the scene's renders is the user's, unless ``match_render_size`` gives it that of the scan.
+    """
 
     def read() -> tuple[Reconstruction, MeshArrays]:
         reconstruction = read_reconstruction(folder)
@@ -27,6 +31,7 @@ def bring_in(
     name = yield from _make_mesh(arrays)
     mesh = object_of(MESH_NAME, bpy.data.meshes[name])
     place_reconstruction(scene.find(), reconstruction, mesh, match_render_size=match_render_size)
+    show_vertex_colors()
     push_undo(undo)
     return reconstruction
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import trimesh
 
+import blender_addon
 from datagen.camera import PinholeCamera
 from datagen.dataset_format import FRAMES_FOLDER, Intrinsics, Metadata, frame_file, write_metadata
 from datagen.images import write_color, write_depth
@@ -45,6 +46,13 @@ def empty_scene() -> Iterator[bpy.types.Scene]:
     bpy.ops.wm.read_factory_settings(use_empty=True)
     yield bpy.context.scene
     bpy.ops.wm.read_factory_settings(use_empty=True)
+
+
+@pytest.fixture
+def extension(empty_scene: bpy.types.Scene) -> Iterator[None]:
+    blender_addon.register()
+    yield
+    blender_addon.unregister()
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import bpy
@@ -18,13 +18,6 @@ from blender_addon.jobs import runner
 from blender_addon.jobs.command import Command
 from blender_addon.jobs.job import Job, Pace, State, Work
 from blender_addon.jobs.progress import ProcessLog, Progress
-
-
-@pytest.fixture
-def extension(empty_scene: bpy.types.Scene) -> Iterator[None]:
-    blender_addon.register()
-    yield
-    blender_addon.unregister()
 
 
 def _finish(job: Job, *, seconds: float = 60) -> float:

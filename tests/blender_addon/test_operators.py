@@ -1,17 +1,9 @@
-from collections.abc import Iterator
 from typing import Any
 
 import bpy
 import pytest
 
 import blender_addon
-
-
-@pytest.fixture
-def extension(empty_scene: bpy.types.Scene) -> Iterator[None]:
-    blender_addon.register()
-    yield
-    blender_addon.unregister()
 
 
 @pytest.mark.usefixtures("extension")
