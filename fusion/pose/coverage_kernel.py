@@ -30,8 +30,8 @@ class NearestApproach:
 
     A trilinear field bends sharply between cells: so the distance there is told by two points of the ray, ``before``
     and ``after``, the first with weight ``share``, such that their mean does not change along the ray; ``offset``,
-    metres, makes it the distance at the place. ``pixels_per_metre`` is that at its depth, 0 where the ray never comes
-    near.
+    metres, makes it the distance at the place. ``pixels_per_metre`` is that at its depth, times what the mean grows too
+    slowly by, 0 where the ray never comes near.
     """
 
     before: FieldCell

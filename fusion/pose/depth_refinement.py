@@ -6,6 +6,7 @@ about the given one, and judged both ways: the query's points in the model's fie
 query.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -25,12 +26,14 @@ from fusion.pose.normal_equations import (
 )
 from fusion.pose.pose_model import PoseModel
 from fusion.pose.query import Query, QueryCloud, query_cloud
+from fusion.pose.reference_frame import ReferenceFrame
+from fusion.pose.reference_shift import nearest_reference, reference_shift, without_shift
 from fusion.pose.refinement import Refinement, declined
 from fusion.pose.se3 import perturb
 from fusion.pose.uncertainty import uncertainty
 from fusion.pose.view_overlap import QueryView, agreement, overlap, query_view
 
-Starts = Literal["auto", "one", "many"]
+Starts = Literal["auto", "one", "many", "here"]
 
 FEWEST_POINTS = 60
 _MODEL_NOISE_VOXELS = 0.12
@@ -54,7 +57,8 @@ _EXPLAINED = 0.65
 class DepthRefinementOptions:
     """How a pose is refined with depth.
 
-    ``starts``: the given pose alone, many about it, or, with auto, many only where one does not explain the view.
+    ``starts``: the given pose alone, many about it, or, with auto, many only where one does not explain the view;
+    ``here`` for a pose that is right but for the noise.
     ``most_points`` of the query are compared at the finest level.
     """
 
@@ -123,13 +127,29 @@ def refine_with_depth(
     query: Query,
     world_from_camera: Matrix,
     *,
+    references: Sequence[ReferenceFrame] = (),
     options: DepthRefinementOptions | None = None,
 ) -> Refinement:
     """Refine the pose of ``query`` from the start ``world_from_camera``, which is handed back where it declines.
 
-    Restricted to the query's mask if it has one. Residuals are metres. Raises InputError for a query without depth
-    image and a start that is not rigid.
+    Restricted to the query's mask if it has one. What the nearest of ``references``, fused frames, is off by when it
+    is refined likewise is taken off the pose. Residuals are metres. Raises InputError for a query without depth image
+    and a start that is not rigid.
     """
+    found = _refined(model, query, world_from_camera, options)
+    reference = None if found.declined else nearest_reference(references, found.world_from_camera)
+    if reference is None:
+        return found
+    seen = Query(camera=reference.camera, depth=reference.depth)
+    own = _refined(model, seen, reference.world_from_camera, DepthRefinementOptions(starts="here"))
+    shift = reference_shift(reference, own)
+    return found if shift is None else without_shift(found, shift)
+
+
+def _refined(
+    model: PoseModel, query: Query, world_from_camera: Matrix, options: DepthRefinementOptions | None
+) -> Refinement:
+    """Refine a pose by depth alone."""
     options = options or DepthRefinementOptions()
     start = rigid(world_from_camera, source="start of the refinement")
     cloud = query_cloud(query, device=model.device, most=options.most_points)
@@ -138,6 +158,9 @@ def refine_with_depth(
         reason = f"{cloud.count} pixels of {where} have a depth, fewer than the {FEWEST_POINTS} that fix a pose"
         return declined("depth", start, reason, used=cloud.count)
     problem = _problem(model, query, cloud, start)
+    if options.starts == "here":
+        best = _fine(problem, start[None])
+        return _result(problem, best, start, best.iterations)
     best, spent = (None, 0) if options.starts == "many" else _from_one(problem, start)
     if best is None or (options.starts == "auto" and not _explains(problem, best)):
         found, more = _from_many(problem, start)

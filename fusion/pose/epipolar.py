@@ -18,6 +18,7 @@ from datagen.camera import PinholeCamera
 from datagen.rigid import Matrix, inverse, rigid, transform_points
 from fusion.pose.pose_model import PoseModel
 from fusion.pose.query import Query
+from fusion.pose.reference_frame import ReferenceFrame
 from fusion.pose.refinement import Refinement, declined
 from fusion.pose.uncertainty import uncertainty
 
@@ -35,19 +36,6 @@ _DEPTH_STEP = 0.02
 _OFF_SURFACE_VOXELS = 3.0
 _LEAST_SPREAD = 0.02
 """Of the inliers in the query's image, as a share of its width, below which they fix no pose."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ReferenceFrame:
-    """A fused frame and its pose.
-
-    ``color`` (height, width, 3) uint8 RGB, ``depth`` (height, width) planar metres, 0 = invalid.
-    """
-
-    camera: PinholeCamera
-    color: NDArray[np.uint8]
-    depth: NDArray[np.float32]
-    world_from_camera: Matrix
 
 
 @dataclass(frozen=True, kw_only=True)

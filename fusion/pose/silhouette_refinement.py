@@ -8,10 +8,8 @@ size, Gauss–Newton with the tape's Jacobian moves the pose on SE(3). An outlin
 from dataclasses import dataclass, replace
 from typing import Literal
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from datagen.camera import PinholeCamera
 from datagen.rigid import Matrix, inverse, rigid, transform_points
@@ -21,12 +19,11 @@ from fusion.pose.pose_model import PoseModel
 from fusion.pose.query import Query
 from fusion.pose.refinement import Refinement, declined
 from fusion.pose.se3 import perturb
+from fusion.pose.silhouette_target import Level, outline_length, silhouette_from_depth, silhouette_levels
 from fusion.pose.soft_silhouette import soft_silhouette
 from fusion.pose.uncertainty import uncertainty
 
 FEWEST_PIXELS = 50
-_COARSE_WIDTH, _FINE_WIDTH = 80, 320
-_BAND_SIGMAS = 4.0
 _LEAST_COVERAGE_SPREAD = 0.02
 """Coverage of a pixel is not known better than this: the mask is made of whole pixels."""
 _TURN_OF_STARTS_DEG = 30.0
@@ -47,22 +44,6 @@ class SilhouetteRefinementOptions:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Level:
-    """One size of the image and one width of the blur: what the silhouette is compared with.
-
-    ``pixels`` (n, 2) of ``camera``, ``target`` (n,) the blurred mask there; ``softness_px`` in that camera's pixels. A
-    step that moves the model by less than the share ``enough`` of its size is the last.
-    """
-
-    camera: PinholeCamera
-    pixels: NDArray[np.float64]
-    target: NDArray[np.float64]
-    softness_px: float
-    iterations: int
-    enough: float
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class _Problem:
     """A mask against a model, with the point that the pose turns about and the model's size, metres."""
 
@@ -72,7 +53,7 @@ class _Problem:
     pivot_world: NDArray[np.float64]
     radius: float
 
-    def normals(self, level: _Level, pose: Matrix) -> Normals:
+    def normals(self, level: Level, pose: Matrix) -> Normals:
         """Return the normal equations of one pose; residuals are shares of coverage."""
         seen = soft_silhouette(
             self.model,
@@ -98,7 +79,7 @@ class _Problem:
             squares=np.array([float((weights * residuals**2).sum())]),
         )
 
-    def descend(self, level: _Level, pose: Matrix) -> Descent:
+    def descend(self, level: Level, pose: Matrix) -> Descent:
         return descend(
             lambda poses: self.normals(level, poses[0]),
             pose[None],
@@ -130,7 +111,7 @@ def refine_with_silhouette(
     if count < FEWEST_PIXELS:
         reason = f"the mask has {count} pixels, fewer than the {FEWEST_PIXELS} that make an outline"
         return declined("silhouette", start, reason, used=count, unit="px")
-    if _outline_pixels(mask) < FEWEST_PIXELS:
+    if outline_length(mask) < FEWEST_PIXELS:
         return declined("silhouette", start, "the mask's outline is not in the image", used=count, unit="px")
     problem = _Problem(
         model=model,
@@ -139,7 +120,7 @@ def refine_with_silhouette(
         pivot_world=model.centre_world,
         radius=0.3 * model.diameter,
     )
-    levels = _levels(mask, query.camera)
+    levels = silhouette_levels(mask, query.camera)
     best: tuple[float, Matrix, Descent] | None = None
     if options.starts != "many":
         best = _from_one(problem, levels, start)
@@ -149,78 +130,7 @@ def refine_with_silhouette(
     return _result(problem, levels[-1], best, start)
 
 
-def silhouette_from_depth(model: PoseModel, query: Query, start: Matrix) -> NDArray[np.bool_] | None:
-    """Return the mask (height, width) that depth tells: what lies no farther from the model's middle than its surface.
-
-    The middle is where ``start`` has it, so the start has to be right to a share of the model's size. None where the
-    query has no depth.
-    """
-    if query.depth is None:
-        return None
-    depth = query.valid_depth()
-    middle = transform_points(inverse(start), model.centre_world)
-    apart = np.linalg.norm(query.camera.back_project(depth) - middle, axis=-1)
-    near = (depth > 0) & (apart < 0.75 * model.diameter)
-    regions, count = ndimage.label(near)
-    if not count:
-        return near
-    sizes = np.bincount(regions.ravel())
-    sizes[0] = 0
-    return np.asarray(regions == sizes.argmax())
-
-
-def _outline_pixels(mask: NDArray[np.bool_]) -> int:
-    """Count the mask's pixels that have a neighbour outside of it, within the image."""
-    inner = ndimage.binary_erosion(mask, border_value=1)
-    return int((mask & ~inner).sum())
-
-
-def _levels(mask: NDArray[np.bool_], camera: PinholeCamera) -> list[_Level]:
-    """Return what the silhouette is compared with, coarse to fine."""
-    coarse = max(round(camera.width / _COARSE_WIDTH), 1)
-    middle = max(round(camera.width / (2 * _COARSE_WIDTH)), 1)
-    fine = max(round(camera.width / _FINE_WIDTH), 1)
-    return [
-        _level(mask, camera, coarse, 3.0, 8, 3e-3, everywhere=True),
-        _level(mask, camera, coarse, 1.2, 6, 1e-3, everywhere=True),
-        _level(mask, camera, middle, 1.0, 6, 5e-4),
-        _level(mask, camera, fine, 0.8, 8, 1e-4),
-    ]
-
-
-def _level(
-    mask: NDArray[np.bool_],
-    camera: PinholeCamera,
-    step: int,
-    softness_px: float,
-    iterations: int,
-    enough: float,
-    *,
-    everywhere: bool = False,
-) -> _Level:
-    """Return one level; but for ``everywhere``, of the pixels near the mask's edge alone."""
-    blurred = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), step * softness_px, borderType=cv2.BORDER_REPLICATE)[
-        ::step, ::step
-    ]
-    small = camera.subsampled(step)
-    wanted = np.ones(blurred.shape, bool)
-    if not everywhere:
-        reach = int(np.ceil(_BAND_SIGMAS * softness_px * step))
-        kernel = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
-        binary = mask.astype(np.uint8)
-        wanted = (cv2.dilate(binary, kernel) > cv2.erode(binary, kernel))[::step, ::step]
-    v, u = np.nonzero(wanted)
-    return _Level(
-        camera=small,
-        pixels=np.stack([u, v], axis=-1).astype(np.float64),
-        target=blurred[v, u].astype(np.float64),
-        softness_px=softness_px,
-        iterations=iterations,
-        enough=enough,
-    )
-
-
-def _from_one(problem: _Problem, levels: list[_Level], start: Matrix) -> tuple[float, Matrix, Descent]:
+def _from_one(problem: _Problem, levels: list[Level], start: Matrix) -> tuple[float, Matrix, Descent]:
     """Descend through all levels; returns the overlap, the pose and the last descent."""
     pose = start
     if _overlap(problem, levels[0], pose) < 0.5:
@@ -232,7 +142,7 @@ def _from_one(problem: _Problem, levels: list[_Level], start: Matrix) -> tuple[f
     return _overlap(problem, levels[1], pose), pose, replace(found, iterations=spent)
 
 
-def _from_many(problem: _Problem, levels: list[_Level], start: Matrix) -> tuple[float, Matrix, Descent]:
+def _from_many(problem: _Problem, levels: list[Level], start: Matrix) -> tuple[float, Matrix, Descent]:
     """Descend the coarse levels from many starts, and all levels from the best of them."""
     golden = (1 + 5**0.5) / 2
     axes = np.array([np.roll((0, a, b * golden), k) for k in range(3) for a in (-1, 1) for b in (-1, 1)], np.float64)
@@ -247,7 +157,7 @@ def _from_many(problem: _Problem, levels: list[_Level], start: Matrix) -> tuple[
     return max((_from_one(problem, levels, pose) for _, pose in candidates[:_KEPT_STARTS]), key=lambda found: found[0])
 
 
-def _coverage(problem: _Problem, level: _Level, pose: Matrix) -> NDArray[np.float64]:
+def _coverage(problem: _Problem, level: Level, pose: Matrix) -> NDArray[np.float64]:
     return soft_silhouette(
         problem.model,
         level.camera,
@@ -259,13 +169,13 @@ def _coverage(problem: _Problem, level: _Level, pose: Matrix) -> NDArray[np.floa
     ).coverage
 
 
-def _overlap(problem: _Problem, level: _Level, pose: Matrix) -> float:
+def _overlap(problem: _Problem, level: Level, pose: Matrix) -> float:
     """Return the intersection over union of the silhouettes at a level that has all pixels."""
     ours, theirs = _coverage(problem, level, pose) > 0.5, level.target > 0.5
     return float((ours & theirs).sum() / max((ours | theirs).sum(), 1))
 
 
-def _shifted_onto_mask(problem: _Problem, level: _Level, pose: Matrix) -> Matrix:
+def _shifted_onto_mask(problem: _Problem, level: Level, pose: Matrix) -> Matrix:
     """Shift the camera so that the silhouette's middle and area become the mask's."""
     for _step in range(2):
         covered = _coverage(problem, level, pose)
@@ -288,7 +198,7 @@ def _shifted_onto_mask(problem: _Problem, level: _Level, pose: Matrix) -> Matrix
     return pose
 
 
-def _result(problem: _Problem, level: _Level, best: tuple[float, Matrix, Descent], start: Matrix) -> Refinement:
+def _result(problem: _Problem, level: Level, best: tuple[float, Matrix, Descent], start: Matrix) -> Refinement:
     """Return what was found, with its uncertainty in pixels of the finest level."""
     overlap, pose, found = best
     seen = soft_silhouette(
