@@ -41,7 +41,7 @@ def environment() -> dict[str, str]:
     """
     folders = [str(_folder_of(package)) for package in NEEDED]
     found = {**os.environ, "PYTHONPATH": os.pathsep.join(dict.fromkeys(folders)), "PYTHONUNBUFFERED": "1"}
-    if not bpy.app.module:
+    if bpy.app.binary_path:  # empty in the bpy module; bpy.app.module is newer than Blender 4.3
         found[BLENDER_VARIABLE] = bpy.app.binary_path
     return found
 

@@ -6,10 +6,7 @@ MODULE = "bl_ext.user_default.scanback"
 
 
 def steps(window):
-    bpy.context.preferences.view.show_splash = False
-    bpy.ops.extensions.package_install_files(
-        filepath="/shared/scanback.zip", repo="user_default", enable_on_install=True
-    )
+    yield from window.install()
     window.seen["enabled"] = MODULE in bpy.context.preferences.addons
     yield 1.0
     window.shot("installed")

@@ -11,6 +11,7 @@ mount -t proc proc "$root/proc"
 mount -t tmpfs tmpfs "$root/tmp"
 mount --rbind /dev "$root/dev"
 mount -t tmpfs tmpfs "$root/dev/shm"
-exec chroot "$root" env -i PATH=/usr/bin:/bin LANG=C.UTF-8 HOME=/shared/home XDG_RUNTIME_DIR=/tmp LIBGL_ALWAYS_SOFTWARE=1 \
+# xvfb-run waits for a signal that never reaches the first process of a namespace: the shell must stay that.
+chroot "$root" env -i PATH=/usr/bin:/bin LANG=C.UTF-8 HOME=/shared/home XDG_RUNTIME_DIR=/tmp LIBGL_ALWAYS_SOFTWARE=1 \
     BLENDER_USER_RESOURCES=/shared/user \
     xvfb-run --auto-servernum --server-args="-screen 0 ${size}x24 -nolisten tcp" "$@"

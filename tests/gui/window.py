@@ -14,6 +14,7 @@ from pathlib import Path
 
 import bpy
 
+MODULE = "bl_ext.user_default.scanback"
 FIRST_S = 3.0
 """Until the window is there and drawn."""
 
@@ -41,11 +42,36 @@ class Window:
         area = self.area(kind)
         return bpy.context.temp_override(window=self.window, area=area, region=self.region(area, "WINDOW"))
 
+    def install(self, archive="/shared/scanback.zip"):
+        """Close the splash screen, install the extension and enable it."""
+        yield from self.press("ESC", 700, 500)
+        bpy.ops.extensions.package_install_files(filepath=archive, repo="user_default", enable_on_install=True)
+        yield 0.5
+
+    def runner(self):
+        """Return the extension's module that runs jobs."""
+        return sys.modules[f"{MODULE}.jobs.runner"]
+
+    def finish_job(self, *, half_way=""):
+        """Wait until the job is over and return how it ended; take a picture named ``half_way`` in its middle."""
+        runner = self.runner()
+        while (job := runner.current_job()) is not None:
+            progress = job.progress
+            if half_way and progress is not None and progress.fraction >= 0.5:
+                self.shot(half_way)
+                half_way = ""
+            yield 0.1
+        yield 0.5
+        ended = runner.last_job()
+        return [ended.state.value, ended.message]
+
     def open_tab(self, name):
         """Open the sidebar of the 3D view; the tab is there after the next drawing."""
         self.area("VIEW_3D").spaces.active.show_region_ui = True
         yield 1.0
-        self.region(self.area("VIEW_3D"), "UI").active_panel_category = name
+        region = self.region(self.area("VIEW_3D"), "UI")
+        region.active_panel_category = name
+        region.tag_redraw()
         yield 1.0
 
     def shot(self, name):

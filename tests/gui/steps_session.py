@@ -1,0 +1,91 @@
+"""The four steps, as somebody takes them who has Suzanne before them and a zip."""
+
+import math
+import sys
+from pathlib import Path
+
+import bpy
+
+sys.path.append("/shared")
+
+from stalls import Stalls
+
+SCAN = Path("/shared/scan")
+
+
+def steps(window):
+    yield from window.install()
+    window.seen["enabled"] = "bl_ext.user_default.scanback" in bpy.context.preferences.addons
+    suzanne()
+    settings = bpy.context.scene.scanback
+    settings.folder = str(SCAN)
+    settings.scan.trajectory = "HEMISPHERE"
+    settings.scan.frames, settings.scan.width, settings.scan.height = 24, 320, 240
+    settings.fuse.every = 2
+    settings.locate.query = "HELD_OUT"
+    yield from window.open_tab("Scanback")
+    window.shot("before")
+    window.seen["idle"] = yield from watched(redrawing(3.0))
+
+    for operator in ("scan", "fuse", "locate", "compare"):
+        with window.within():
+            result = getattr(bpy.ops.scanback, operator)("INVOKE_DEFAULT")
+        assert result == {"FINISHED"}, (operator, result)
+        ending, stalls = yield from watched(window.finish_job(half_way=f"{operator}-running"), with_result=True)
+        window.seen[operator] = {"ended": ending, **stalls}
+        yield 0.5
+        window.shot(f"{operator}-done")
+        assert ending[0] == "done", ending
+
+    window.seen["files"] = sorted(path.name for path in (SCAN / "reconstruction").iterdir())
+    window.seen["objects"] = [[item.name, item.type] for item in bpy.data.objects]
+    for shading in ("MATERIAL",):
+        window.area("VIEW_3D").spaces.active.shading.type = shading
+        yield 3.0
+        window.shot(f"compared-{shading.lower()}")
+    with window.within():
+        bpy.ops.scanback.show_colors(errors=False)
+    yield 2.0
+    window.shot("colors")
+    with window.within():
+        window.seen["look"] = list(bpy.ops.scanback.look_through(target="CURSOR"))
+    yield 2.0
+    window.shot("look-through")
+    window.seen["perspective"] = window.area("VIEW_3D").spaces.active.region_3d.view_perspective
+
+
+def suzanne():
+    """Have Suzanne, in colours, stand where the cube was."""
+    bpy.data.objects.remove(bpy.data.objects["Cube"])
+    bpy.ops.mesh.primitive_monkey_add(size=1.0, location=(0, 0, 0.6), rotation=(math.radians(-20), 0, 0.5))
+    monkey = bpy.context.object
+    monkey.modifiers.new("Smooth", "SUBSURF").render_levels = 2
+    for polygon in monkey.data.polygons:
+        polygon.use_smooth = True
+    material = bpy.data.materials.new("Painted")
+    material.use_nodes = True
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    checker = nodes.new("ShaderNodeTexChecker")
+    checker.inputs["Color1"].default_value = (0.8, 0.25, 0.1, 1)
+    checker.inputs["Color2"].default_value = (0.1, 0.35, 0.7, 1)
+    checker.inputs["Scale"].default_value = 6
+    links.new(checker.outputs["Color"], nodes["Principled BSDF"].inputs["Base Color"])
+    monkey.data.materials.append(material)
+
+
+def redrawing(seconds):
+    """Let the interface draw as often as it does while a job runs."""
+    for _ in range(round(seconds / 0.1)):
+        for area in bpy.context.window_manager.windows[0].screen.areas:
+            if area.type == "VIEW_3D":
+                area.tag_redraw()
+        yield 0.1
+
+
+def watched(steps, *, with_result=False):
+    """Go through ``steps`` and return the stalls meanwhile, after the steps' own result where that is asked for."""
+    stalls = Stalls()
+    stalls.begin()
+    result = yield from steps
+    measured = stalls.end()
+    return (result, measured) if with_result else measured

@@ -1,0 +1,35 @@
+"""The four steps in Blender's interface, and how alive it stays meanwhile."""
+
+import pytest
+
+STALL_MS = 50.0
+"""The longest that the extension may keep Blender's main thread while a job runs."""
+
+
+@pytest.fixture(scope="module")
+def seen(desktop):
+    return desktop.run("steps_session.py")
+
+
+@pytest.mark.parametrize("step", ["scan", "fuse", "locate", "compare"])
+def test_each_step_goes_through(seen, step):
+    state, message = seen[step]["ended"]
+    assert state == "done", message
+
+
+@pytest.mark.parametrize("step", ["scan", "fuse", "locate", "compare"])
+def test_the_extension_keeps_the_main_thread_no_longer_than_a_moment(seen, step):
+    assert seen[step]["ticks"] > 10
+    assert seen[step]["call_processor_ms"] <= STALL_MS, seen[step]["longest_calls"]
+
+
+def test_the_results_are_in_the_scene_and_on_disk(seen):
+    assert {"mesh.ply", "poses.json", "reconstruction.json"} <= set(seen["files"])
+    kinds = [kind for _, kind in seen["objects"]]
+    assert kinds.count("MESH") == 2  # Suzanne and her reconstruction
+    assert kinds.count("CAMERA") > 12  # a camera for each of the twelve frames that were left out, and the scene's
+
+
+def test_looking_through_the_nearest_frame_enters_the_cameras_view(seen):
+    assert seen["look"] == ["FINISHED"]
+    assert seen["perspective"] == "CAMERA"
