@@ -8,6 +8,9 @@ from numpy.typing import NDArray
 WEAK_RATIO = 10.0
 """A direction is weak where the pose is this much less certain along it than along the median one."""
 
+_NEAR_AXIS = 3.0
+"""Radii from the pivot within which the axis of a turn is thought of as the model's own."""
+
 _AXES = ("x", "y", "z")
 
 
@@ -106,9 +109,14 @@ def clustered_uncertainty(
 
 
 def describe_direction(direction: NDArray[np.float64]) -> str:
-    """Name a direction (v, ω · radius) in words: what moves, and along or about which axis of the world."""
+    """Name a direction (v, ω · radius) in words: what moves, and along or about which axis of the model.
+
+    Every motion is a screw (Chasles): a shift across ω only moves the axis aside, and where that stays near the model,
+    and little is left along it, the motion is a turn.
+    """
     shift, turn = np.linalg.norm(direction[:3]), np.linalg.norm(direction[3:])
-    if turn > 3 * shift:
+    along = abs(direction[:3] @ direction[3:]) / max(turn, 1e-12)
+    if turn * _NEAR_AXIS > shift and turn > 3 * along:
         return f"turning about {_axis(direction[3:])}"
     if shift > 3 * turn:
         return f"sliding along {_axis(direction[:3])}"

@@ -66,4 +66,6 @@ def test_directions_are_named_by_what_moves():
     assert describe_direction(np.array([0, 0, 0, 0, 0, -1.0])) == "turning about the model's z"
     assert describe_direction(np.array([0, 1.0, 0, 0, 0, 0])) == "sliding along the model's y"
     assert describe_direction(np.array([-0.6, 0.8, 0, 0, 0, 0])) == "sliding along (-0.60, 0.80, 0.00)"
-    assert "while turning about the model's x" in describe_direction(np.array([0, 0.7, 0, 0.7, 0, 0]))
+    # About an axis one radius aside, and as a screw.
+    assert describe_direction(np.array([0, 0.7, 0, 0.7, 0, 0])) == "turning about the model's x"
+    assert "while turning about the model's x" in describe_direction(np.array([0.7, 0, 0, 0.7, 0, 0]))
