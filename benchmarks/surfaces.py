@@ -3,12 +3,14 @@
     python benchmarks/surfaces.py                        # all
     python benchmarks/surfaces.py topology --solids 300
     python benchmarks/surfaces.py edges table time
+    python benchmarks/surfaces.py scenes --datasets suzanne bunny table --every 10
 
 *topology*: random solids in closed form, each meshed by the volume alone and by the solid as an oracle: how many are
 closed and manifold, and how many pairs of triangles meet (exactly, CGAL through libigl). *edges*: a cube, an L and a
 solid of parts, seen by 60 exact depth images; the mean distance from the true surface of what lies within half a voxel
 of a true edge, and beyond two voxels. *order*: how vertices converge on a smooth field. *table*: the scene of
 ``accuracy.py`` over voxel sizes, for the vertices that an error takes. *time*: CPU and wall seconds of meshing it.
+*scenes*: recordings with a true mesh (``scene_surfaces.py``), for their topology, errors, vertices and time.
 """
 
 import argparse
@@ -26,6 +28,7 @@ sys.path[:0] = [str(_HERE.parent), str(_HERE.parent / "tests")]
 sys.path.append(str(_HERE))
 
 import accuracy
+import scene_surfaces
 from analytic_oracle import SolidState, ball, cube, l_shape, random_solid, solid_value
 from mesh_topology import is_closed, is_manifold, self_intersections
 
@@ -246,6 +249,10 @@ def measure_order(device, _):
             before = error
 
 
+def measure_scenes(device, options):
+    scene_surfaces.measure_scenes(device, options, print_row)
+
+
 def print_row(*cells):
     print("| " + " | ".join(cells) + " |", flush=True)
 
@@ -256,6 +263,7 @@ MEASURES = {
     "order": measure_order,
     "table": measure_table,
     "time": measure_time,
+    "scenes": measure_scenes,
 }
 
 
@@ -264,6 +272,11 @@ def main():
     parser.add_argument("measures", nargs="*", choices=[*MEASURES, []], default=[])
     parser.add_argument("--solids", type=int, default=300)
     parser.add_argument("--voxel-sizes", type=float, nargs="+", default=[0.016, 0.008], metavar="METRES")
+    parser.add_argument("--datasets", type=Path, nargs="*", default=[], help="recordings with a true mesh, for scenes")
+    parser.add_argument("--every", type=int, default=10, help="fuse each so-manieth frame of them")
+    parser.add_argument(
+        "--factors", type=float, nargs="+", default=[1, 2, 4], help="of the voxel that the data suggest"
+    )
     parser.add_argument("--device", default="auto")
     options = parser.parse_args()
     device = resolve_device(options.device)

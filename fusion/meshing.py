@@ -6,7 +6,7 @@ from pathlib import Path
 from datagen.errors import InputError
 from datagen.open_dataset import open_dataset
 from datagen.progress import ProgressReporter, silent
-from fusion.devices import load_kernels
+from fusion.devices import Device, load_kernels
 from fusion.frames.frame_batch import FrameUploader
 from fusion.frames.frame_source import FrameSource
 from fusion.integration.fuse import batch_size
@@ -43,7 +43,7 @@ def mesh_fused(
     """
     oracle = None
     if asks_depth(config):
-        oracle = _depth_oracle(volume, source, config, clock, progress)
+        oracle = depth_oracle(volume, source, config.integration, clock=clock, progress=progress)
         load_kernels((), oracle_kernels(oracle), device=volume.device, progress=progress)
     advance = progress("mesh", 1)
     with clock("mesh"):
@@ -69,6 +69,15 @@ def mesh_again(
     load_kernels(modules, device=volume.device, progress=progress)
     if not asks_depth(config):
         return mesh_volume(volume, config.mesher, min_weight=config.min_weight, normals=normals)
+    clock = Stopwatch(volume.device)
+    with fused_frames(folder, record, config, volume.device) as source:
+        return mesh_fused(volume, source, config, clock=clock, normals=normals, progress=progress)
+
+
+def fused_frames(
+    folder: Path, record: ReconstructionRecord, config: ReconstructionConfig, device: Device
+) -> FrameSource:
+    """Return the frames that a reconstruction was made of; raises InputError where its dataset is not there."""
     path = (folder / record.dataset).resolve()
     if not path.is_dir():
         raise InputError(
@@ -79,9 +88,7 @@ def mesh_again(
     if config.depth_layer is not None:
         dataset = dataset.with_depth_layer(config.depth_layer)
     frames = tuple(fused.frame for fused in record.trajectory)
-    size, clock = batch_size(volume.device), Stopwatch(volume.device)
-    with FrameSource(dataset, frames, depth_max=record.depth_max_m, batch_size=size) as source:
-        return mesh_fused(volume, source, config, clock=clock, normals=normals, progress=progress)
+    return FrameSource(dataset, frames, depth_max=record.depth_max_m, batch_size=batch_size(device))
 
 
 def recorded_config(
@@ -107,11 +114,17 @@ def recorded_config(
         raise InputError(f"{folder / RECORD_FILE}: config: {error}") from error
 
 
-def _depth_oracle(
-    volume: Volume, source: FrameSource, config: ReconstructionConfig, clock: Stopwatch, progress: ProgressReporter
+def depth_oracle(
+    volume: Volume,
+    source: FrameSource,
+    integration: Integration,
+    *,
+    clock: Stopwatch | None = None,
+    progress: ProgressReporter = silent,
 ) -> Oracle:
-    """Decode the depth of all frames once more, for dual contouring to ask."""
-    field = DepthField(volume, config.integration, frames=len(source.frame_ids))
+    """Decode the depth of all frames once more, for dual contouring to ask; ``clock`` counts it to ``mesh``."""
+    timed = clock or Stopwatch(volume.device)
+    field = DepthField(volume, integration, frames=len(source.frame_ids))
     upload = FrameUploader(
         source.dataset.camera,
         device=volume.device,
@@ -120,7 +133,7 @@ def _depth_oracle(
     )
     advance = progress("depth", len(source.frame_ids))
     for frames in source.depth_batches():
-        with clock("mesh"):
+        with timed("mesh"):
             field.add(upload(frames.depths, frames.poses))
         for _ in frames.frame_ids:
             advance()

@@ -56,6 +56,7 @@ def evaluate(
     thresholds: Sequence[float],
     device: Device,
     observed_by: Observers | None = None,
+    seen: SurfaceSamples | None = None,
     voxel_size: float | None = None,
     progress: ProgressReporter = silent,
 ) -> dict[str, Any]:
@@ -65,27 +66,12 @@ def evaluate(
     ``chamfer_m`` their mean. ``fscores`` has for each threshold (metres) the share of the mesh's points nearer than it
     to the truth (precision), that of the truth's (recall), and their harmonic mean; ``fscore`` is the first of them
     (Knapitsch et al. 2017). ``normal_consistency`` is the mean |cos| between a point's normal and that of its closest
-    triangle, both ways (Mescheder et al. 2019). With ``observed_by`` the truth is culled to
-    what they saw; the mesh is always held against the whole truth. With ``voxel_size``, lengths are given in voxels
-    too. Raises InputError where nothing of the truth was seen.
+    triangle, both ways (Mescheder et al. 2019). With ``observed_by`` the truth is culled to what they saw, or ``seen``
+    is what they saw of it; the mesh is always held against the whole truth. With ``voxel_size``, lengths are given in
+    voxels too. Raises InputError where nothing of the truth was seen.
     """
-    rng = np.random.default_rng(SEED)
-    ours = sample_surface(mesh, SAMPLES, rng=rng)
-    truth = sample_surface(ground_truth, SAMPLES, rng=rng)
-    if observed_by is not None:
-        seen = observed_points(
-            truth.points,
-            observed_by.dataset,
-            observed_by.frame_ids,
-            device=device,
-            depth_max=observed_by.depth_max,
-            progress=progress,
-        )
-        if not seen.any():
-            raise InputError(
-                f"{observed_by.dataset.folder}: its frames see nothing of the ground truth; are they of one scene?"
-            )
-        truth = SurfaceSamples(points=truth.points[seen], normals=truth.normals[seen])
+    ours = sample_surface(mesh, SAMPLES, rng=np.random.default_rng(SEED))
+    truth = seen or seen_truth(ground_truth, observed_by, device=device, progress=progress)
     to_truth, precision_cosines = _compare(ours, ground_truth, device)
     to_mesh, recall_cosines = _compare(truth, mesh, device)
     accuracy, completeness = float(to_truth.mean()), float(to_mesh.mean())
@@ -102,6 +88,28 @@ def evaluate(
         lengths = ("chamfer", "accuracy", "completeness")
         metrics |= {f"{name}_voxels": metrics[f"{name}_m"] / voxel_size for name in lengths}
     return metrics
+
+
+def seen_truth(
+    ground_truth: Mesh, observed_by: Observers | None, *, device: Device, progress: ProgressReporter = silent
+) -> SurfaceSamples:
+    """Return points of the true surface, those that were seen where observers are given; InputError for none."""
+    truth = sample_surface(ground_truth, SAMPLES, rng=np.random.default_rng([SEED, 1]))
+    if observed_by is None:
+        return truth
+    seen = observed_points(
+        truth.points,
+        observed_by.dataset,
+        observed_by.frame_ids,
+        device=device,
+        depth_max=observed_by.depth_max,
+        progress=progress,
+    )
+    if not seen.any():
+        raise InputError(
+            f"{observed_by.dataset.folder}: its frames see nothing of the ground truth; are they of one scene?"
+        )
+    return SurfaceSamples(points=truth.points[seen], normals=truth.normals[seen])
 
 
 def _compare(samples: SurfaceSamples, mesh: Mesh, device: Device) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -3,12 +3,15 @@
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from fusion.devices import Device
-from fusion.evaluation.evaluate import Observers
+from fusion.evaluation.evaluate import Observers, sample_surface
 from fusion.evaluation.observed_surface import observed_points
 from fusion.surface.closest_points import closest_points
 from fusion.surface.mesh import Mesh
+
+SMOOTH_SAMPLES = 50_000
 
 SHARP_DEG = 30.0
 """Between the normals of an edge's two triangles; what is flatter is taken for a part of a smooth surface."""
@@ -30,19 +33,33 @@ def sharp_edge_points(ground_truth: Mesh, *, spacing: float) -> NDArray[np.float
     return (1 - shares) * starts[edges] + shares * ends[edges]
 
 
-def sharp_edge_error(
-    mesh: Mesh, ground_truth: Mesh, *, spacing: float, observed_by: Observers, device: Device
-) -> float | None:
-    """Return the mean distance, metres, from the truth's sharp edges to a mesh, where the frames saw them.
-
-    Points lie ``spacing`` metres apart. None where the truth has no sharp edge that was seen.
-    """
+def seen_sharp_edges(
+    ground_truth: Mesh, *, spacing: float, observed_by: Observers, device: Device
+) -> NDArray[np.float64]:
+    """Return those of ``sharp_edge_points`` (n, 3) that the frames saw."""
     points = sharp_edge_points(ground_truth, spacing=spacing)
     if len(points) == 0:
-        return None
+        return points
     seen = observed_points(
         points, observed_by.dataset, observed_by.frame_ids, device=device, depth_max=observed_by.depth_max
     )
-    if not seen.any():
-        return None
-    return float(closest_points(mesh, points[seen], device=device).distances.mean())
+    return points[seen]
+
+
+def sharp_edge_error(mesh: Mesh, edges: NDArray[np.float64], *, device: Device) -> float | None:
+    """Return the mean distance, metres, from points (n, 3) on the truth's sharp edges to a mesh; None for no points."""
+    return float(closest_points(mesh, edges, device=device).distances.mean()) if len(edges) else None
+
+
+def smooth_error(
+    mesh: Mesh, ground_truth: Mesh, *, beyond: float, device: Device, samples: int = SMOOTH_SAMPLES
+) -> float | None:
+    """Return the mean distance, metres, of a mesh from the truth, ``beyond`` so many metres from its sharp edges.
+
+    None where no part of the mesh is so far from all of them.
+    """
+    points = sample_surface(mesh, samples, rng=np.random.default_rng(0)).points
+    edges = sharp_edge_points(ground_truth, spacing=beyond / 4)
+    if len(edges):
+        points = points[cKDTree(edges).query(points, distance_upper_bound=beyond)[0] > beyond]
+    return float(closest_points(ground_truth, points, device=device).distances.mean()) if len(points) else None

@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -13,8 +13,6 @@ from datagen.camera import PinholeCamera
 from datagen.dataset import Dataset
 from datagen.rigid import Matrix
 from fusion.devices import Device
-from fusion.evaluation.evaluate import Observers
-from fusion.evaluation.sharp_edges import sharp_edge_error
 from fusion.frames.frame_source import FrameSource
 from fusion.frames.survey import SceneSurvey, combine
 from fusion.reconstruction_config import ReconstructionConfig, choose_lengths
@@ -49,11 +47,12 @@ class Panel:
 
 @dataclass(frozen=True, kw_only=True)
 class Figure:
-    """Pictures side by side under a heading, with a sentence on what to see."""
+    """Pictures side by side, ``columns`` where there is room, under a heading, with a sentence on what to see."""
 
     heading: str
     text: str
     panels: tuple[Panel, ...]
+    columns: int = 4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,19 +71,33 @@ class Subject:
     world_from_camera: Matrix
     view_frame: int
     device: Device
+    advance: Callable[[], None] = lambda: None
 
-    def reconstruct(self, **changes: object) -> Run:
-        """Reconstruct with some of the configuration changed; what two figures share is made once."""
-        config = replace(self.base, **changes)  # type: ignore[arg-type]
+    def config(self, **changes: object) -> ReconstructionConfig:
+        """Return the configuration with some of it changed."""
+        return replace(self.base, **changes)  # type: ignore[arg-type]
+
+    def folder_of(self, config: ReconstructionConfig, kind: str = "") -> Path:
+        """Return where the reconstruction with a configuration is kept."""
         digest = hashlib.sha256(json.dumps(asdict(config), sort_keys=True).encode()).hexdigest()
-        return run(self.dataset, self.folder / digest[:12], config)
+        return self.folder / f"{kind}{digest[:12]}"
+
+    def reconstruct(self, *, keep_volume: bool = False, **changes: object) -> Run:
+        """Reconstruct with some of the configuration changed; what two figures share is made once."""
+        config = self.config(**changes)
+        return run(self.dataset, self.folder_of(config), config, keep_volume=keep_volume)
 
     def picture(
-        self, mesh: Mesh, colors: NDArray[np.floating] | None = None, *, shaded: bool = True
+        self,
+        mesh: Mesh,
+        colors: NDArray[np.floating] | None = None,
+        *,
+        shaded: bool = True,
+        camera: PinholeCamera | None = None,
     ) -> NDArray[np.uint8]:
-        """Return what the mesh looks like from the subject's view."""
+        """Return what the mesh looks like from the subject's view, or from there through another ``camera``."""
         return picture_of_mesh(
-            mesh, self.camera, self.world_from_camera, device=self.device, colors=colors, shaded=shaded
+            mesh, camera or self.camera, self.world_from_camera, device=self.device, colors=colors, shaded=shaded
         )
 
 
@@ -108,17 +121,22 @@ def view_of(dataset: Dataset, frame_id: int) -> tuple[PinholeCamera, Matrix]:
     return replace(small, fx=small.fx * WIDER, fy=small.fy * WIDER), dataset.world_from_camera(frame_id)
 
 
+def frame_counts(available: int) -> list[int]:
+    """Return how many frames figure 7 takes, of so many."""
+    counts = [count for count in FRAME_COUNTS if count < available]
+    return counts if len(counts) == len(FRAME_COUNTS) else [*counts, available]
+
+
 def growth(subject: Subject) -> Figure:
     """Figure 7: the mesh as frames come in."""
-    available = len(subject.dataset.frame_ids)
-    counts = [count for count in FRAME_COUNTS if count < available]
-    counts = counts if len(counts) == len(FRAME_COUNTS) else [*counts, available]
     panels = []
-    for count in counts:
+    for count in frame_counts(len(subject.dataset.frame_ids)):
         result = subject.reconstruct(frames=f"0:{count}")
-        panels.append(_mesh_panel(subject, result, f"frames-{count:03d}", f"{count} frames"))
+        subject.advance()
+        panels.append(mesh_panel(subject, result, f"frames-{count:03d}", f"{count} frames"))
     return Figure(
         heading="Fig. 7: the mesh as frames come in",
+        columns=min(5, len(panels)),
         text="The first frames of the trajectory, fused. Error is measured where these frames saw the surface, so that "
         "it need not shrink; what grows is the surface.",
         panels=tuple(panels),
@@ -128,6 +146,7 @@ def growth(subject: Subject) -> Figure:
 def coloured(subject: Subject) -> Figure:
     """Figures 8 and 12: the coloured mesh beside what the camera saw."""
     result = subject.reconstruct()
+    subject.advance()
     image = subject.dataset.color(subject.view_frame)
     panels = [
         Panel(name="photograph", title=f"frame {subject.view_frame} of the data", image=image),
@@ -135,11 +154,11 @@ def coloured(subject: Subject) -> Figure:
             name="coloured",
             title="coloured mesh",
             image=subject.picture(result.mesh, _own_colors(result.mesh), shaded=False),
-            numbers=_sizes(result),
+            numbers=sizes(result),
         ),
-        _mesh_panel(subject, result, "shape", "its shape"),
+        mesh_panel(subject, result, "shape", "its shape"),
     ]
-    error = _error_panel(subject, result, "error", "error")
+    error = error_panel(subject, result, "error", "error")
     return Figure(
         heading="Figs. 8 and 12: the coloured mesh",
         text="Each vertex has the mean of the colours that the frames saw there, weighted as distances are.",
@@ -155,7 +174,8 @@ def voxel_sizes(subject: Subject) -> Figure:
         size = subject.base.voxel_size * factor
         result = subject.reconstruct(voxel_size=size, truncation=4 * size)
         title = f"{1000 * size:.3g} mm voxels"
-        panels.append(_mesh_panel(subject, result, f"voxel-{factor}", title, extra=_cost(result)))
+        subject.advance()
+        panels.append(mesh_panel(subject, result, f"voxel-{factor}", title, extra=_cost(result)))
     return Figure(
         heading="Fig. 9: voxel sizes",
         text="Half the voxel, four times the triangles; the truncation is four voxels throughout.",
@@ -171,7 +191,8 @@ def truncations(subject: Subject) -> Figure:
         distance = subject.base.voxel_size * voxels
         result = subject.reconstruct(truncation=distance)
         title = f"truncated at {1000 * distance:.3g} mm, {voxels} voxels"
-        panels.append(_mesh_panel(subject, result, f"truncation-{voxels}", title, extra=_cost(result)))
+        subject.advance()
+        panels.append(mesh_panel(subject, result, f"truncation-{voxels}", title, extra=_cost(result)))
     return Figure(
         heading="Fig. 10: truncation distances",
         text="A small one keeps thin parts and their two sides apart, and needs depth without noise; a large one "
@@ -180,58 +201,30 @@ def truncations(subject: Subject) -> Figure:
     )
 
 
-def meshers(subject: Subject, variants: Sequence[tuple[str, str, dict[str, object]]]) -> Figure:
-    """Figure 11: the same volume meshed in different ways; ``variants`` are keys, titles and changes of the config."""
-    panels: list[Panel] = []
-    for key, title, changes in variants:
-        result = subject.reconstruct(**changes)
-        edges = _sharp_edges(subject, result)
-        numbers = (("meshing", f"{1000 * result.record.seconds.mesh:.0f} ms"), *edges)
-        panels.append(_mesh_panel(subject, result, f"mesher-{key}", title, extra=numbers))
-        error = _error_panel(subject, result, f"mesher-{key}-error", f"{title}: error")
-        if error is not None:
-            panels.append(error)
-    return Figure(
-        heading="Fig. 11: marching cubes and dual contouring",
-        text="Sharp-edge error is the mean distance from the truth's sharp edges to the mesh.",
-        panels=tuple(panels),
-    )
+def mesh_panel(subject: Subject, result: Run, name: str, title: str, extra: tuple[tuple[str, str], ...] = ()) -> Panel:
+    """Return the mesh in clay, with its sizes and errors beneath and what is ``extra``."""
+    return Panel(name=name, title=title, image=subject.picture(result.mesh), numbers=(*sizes(result), *extra))
 
 
-def _mesh_panel(subject: Subject, result: Run, name: str, title: str, extra: tuple[tuple[str, str], ...] = ()) -> Panel:
-    return Panel(name=name, title=title, image=subject.picture(result.mesh), numbers=(*_sizes(result), *extra))
+def error_panel(subject: Subject, result: Run, name: str, title: str, *, most: float | None = None) -> Panel | None:
+    """Return the mesh coloured by each vertex's distance to the truth, where there is one.
 
-
-def _error_panel(subject: Subject, result: Run, name: str, title: str) -> Panel | None:
-    """Return the mesh coloured by each vertex's distance to the truth, where there is one; half a voxel is bright."""
+    Bright is ``most`` metres, half a voxel where that is None.
+    """
     if subject.ground_truth is None:
         return None
-    most = result.record.voxel_size_m / 2
+    most = most or result.record.voxel_size_m / 2
     distances = closest_points(subject.ground_truth, result.mesh.vertices, device=subject.device).distances
     image = subject.picture(result.mesh, heat(distances, most=most))
     return Panel(name=name, title=title, image=image, heat_most_m=most)
-
-
-def _sharp_edges(subject: Subject, result: Run) -> tuple[tuple[str, str], ...]:
-    if subject.ground_truth is None:
-        return ()
-    record = result.record
-    fused = tuple(frame.frame for frame in record.trajectory)
-    error = sharp_edge_error(
-        result.mesh,
-        subject.ground_truth,
-        spacing=record.voxel_size_m / 2,
-        observed_by=Observers(dataset=subject.dataset, frame_ids=fused, depth_max=record.depth_max_m),
-        device=subject.device,
-    )
-    return () if error is None else (("sharp edges", f"{error / record.voxel_size_m:.3f} voxel"),)
 
 
 def _own_colors(mesh: Mesh) -> NDArray[np.floating] | None:
     return None if mesh.colors is None else mesh.colors / 255
 
 
-def _sizes(result: Run) -> tuple[tuple[str, str], ...]:
+def sizes(result: Run) -> tuple[tuple[str, str], ...]:
+    """Return what stands beneath each mesh."""
     record = result.record
     numbers = [("vertices", f"{record.vertices:,}"), ("triangles", f"{record.triangles:,}")]
     if record.metrics is not None:
@@ -245,6 +238,3 @@ def _cost(result: Run) -> tuple[tuple[str, str], ...]:
         ("fusion", f"{result.record.frames_per_second:.0f} frames/s"),
         ("meshing", f"{1000 * result.record.seconds.mesh:.0f} ms"),
     )
-
-
-Maker = Callable[[Subject], Figure]

@@ -13,7 +13,7 @@ from datagen.progress import ProgressReporter, silent
 from fusion.devices import load_kernels, resolve_device
 from fusion.reconstruction_config import ReconstructionConfig
 from fusion.reconstruction_files import installed_versions
-from fusion.report import figures
+from fusion.report import figures, mesher_figure
 from fusion.report.figures import Figure, Subject
 from fusion.report.page import Section, Speed, encode_png, render_page
 from fusion.surface.mesh_files import read_mesh
@@ -29,12 +29,6 @@ KERNEL_MODULES = (
 
 PAPER = (("Stanford Bunny", 500, 296.67), ("Suzanne", 500, 530.74), ("Table with object", 500, 296.67))
 """Table I of the paper: frames and frames/s on its GPU; on its CPU all had 0.5."""
-
-MESHERS: tuple[tuple[str, str, dict[str, object]], ...] = (
-    ("marching-cubes", "marching cubes", {}),
-    ("dual-contouring", "dual contouring of the volume", {"mesher": "dual-contouring", "oracle": "volume"}),
-    ("dual-contouring-depth", "dual contouring of the depth images", {"mesher": "dual-contouring", "oracle": "depth"}),
-)
 
 
 def write_report(
@@ -102,20 +96,16 @@ def _subject(
 
 def _figures(subject: Subject, progress: ProgressReporter) -> tuple[Figure, ...]:
     """Make a dataset's figures: of a recording without a true mesh the coloured mesh alone, as in the paper."""
-    makers: list[figures.Maker] = [figures.coloured]
-    if subject.ground_truth is not None:
-        makers += [
-            figures.growth,
-            figures.voxel_sizes,
-            figures.truncations,
-            lambda subject: figures.meshers(subject, MESHERS),
-        ]
-    advance = progress(subject.name, len(makers))
-    made = []
-    for maker in makers:
-        made.append(maker(subject))
-        advance()
-    return tuple(made)
+    if subject.ground_truth is None:
+        subject = replace(subject, advance=progress(subject.name, 1))
+        return (figures.coloured(subject),)
+    steps = 1 + len(figures.frame_counts(len(subject.dataset.frame_ids))) + mesher_figure.RUNS
+    steps += len(figures.VOXEL_FACTORS) + len(figures.TRUNCATION_VOXELS)
+    subject = replace(subject, advance=progress(subject.name, steps))
+    # First what needs the volumes, which are not kept.
+    meshed = mesher_figure.meshers(subject)
+    makers = (figures.coloured, figures.growth, figures.voxel_sizes, figures.truncations)
+    return (*(maker(subject) for maker in makers), meshed)
 
 
 def _speeds(subject: Subject) -> list[Speed]:

@@ -5,16 +5,15 @@ from the 2-D points of the two curves that meet in the 1-D point. In a cell with
 centroid of its loop, which lies within the loop's hull whatever the loop is.
 """
 
-from dataclasses import dataclass
-from typing import Any
-
 import warp as wp
 
 from fusion.devices import launch_in_slabs
-from fusion.surface.dual_contouring.cell_solver import EdgePlanes, corners_of, solve_layer, solve_loops
+from fusion.surface.dual_contouring.cell_solver import EdgePlanes, corners_of, solve_loops
 from fusion.surface.dual_contouring.cell_table import CellTables, cell_tables
 from fusion.surface.dual_contouring.dual_grid import Counts, DualGrid, cell_number, curve_number, place_of
-from fusion.surface.dual_contouring.face_points import face_u, face_v
+from fusion.surface.dual_contouring.faces import face_u, face_v
+from fusion.surface.dual_contouring.layer_solver import solve_layer
+from fusion.surface.dual_contouring.vertices import Vertices
 from fusion.surface.layers import (
     NONE,
     case_of,
@@ -33,24 +32,6 @@ from fusion.volume.voxels import Voxels
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 _SMALLEST_CROSS = wp.constant(1.0e-8)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Vertices:
-    """Vertices on the device (n,): ``points`` metres in the world, ``colors`` RGB, unit ``normals``."""
-
-    points: wp.array
-    colors: wp.array
-    normals: wp.array
-
-    @staticmethod
-    def empty(count: int, device: Any) -> "Vertices":
-        """Return room for vertices."""
-        return Vertices(
-            points=wp.empty(count, dtype=wp.vec3, device=device),
-            colors=wp.empty(count, dtype=wp.vec3ub, device=device),
-            normals=wp.empty(count, dtype=wp.vec3, device=device),
-        )
 
 
 @wp.func

@@ -8,7 +8,7 @@ are in the order of the edges. So nothing depends on which thread is first.
 import numpy as np
 
 from fusion.devices import Kernel
-from fusion.surface.dual_contouring.cell_points import Vertices, cell_points
+from fusion.surface.dual_contouring.cell_points import cell_points
 from fusion.surface.dual_contouring.edge_points import edge_points, search_kernel
 from fusion.surface.dual_contouring.face_points import face_kernel, face_points
 from fusion.surface.dual_contouring.find_grid import find_grid
@@ -16,6 +16,7 @@ from fusion.surface.dual_contouring.oracle import Oracle
 from fusion.surface.dual_contouring.pins import place_pins
 from fusion.surface.dual_contouring.quads import cut_quads
 from fusion.surface.dual_contouring.signs import sign_kernel
+from fusion.surface.dual_contouring.vertices import Vertices
 from fusion.surface.mesh import Mesh
 from fusion.volume.tsdf_volume import Volume
 

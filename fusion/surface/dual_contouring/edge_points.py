@@ -9,6 +9,7 @@ from fusion.devices import Kernel, launch_in_slabs
 from fusion.surface.dual_contouring.dual_grid import Counts, DualGrid
 from fusion.surface.dual_contouring.oracle import Oracle, is_known, next_question
 from fusion.surface.dual_contouring.qef import INSET
+from fusion.surface.dual_contouring.rows import ROWS_IN_CPP
 from fusion.surface.layers import NONE, Cells, launch_over_layers, lowest_bit, number_of, step_along, voxel_of
 from fusion.volume.tsdf_volume import Volume
 from fusion.volume.voxels import Voxels, distance_of
@@ -23,17 +24,11 @@ LEAST_GUESS = wp.constant(0.05)
 MOST_QUESTIONS = wp.constant(14)
 
 
-# In C++ for its local arrays: where the layers of the blocks around begin is looked up once for all edges.
 _CROSS_EDGES_IN_CPP = (
     f"constexpr float LOWEST = {INSET}f, HIGHEST = 1.0f - {INSET}f;"
+    + ROWS_IN_CPP
     + """
-    size_t rows[8];
-    const bool numbered = cells.numbers.shape[0] > 0, packed = voxels.packed.shape[0] > 0;
-    for (int corner = 0; corner < 8; ++corner) {
-        const int holder = cells.upper.data[8 * slot + ((corner & 3) | (z == 7 ? corner & 4 : 0))];
-        const int number = holder < 0 || !numbered ? holder : cells.numbers.data[holder];
-        rows[corner] = 512 * (size_t)(number < 0 ? 0 : number) + 64 * ((z + (corner >> 2)) & 7);
-    }
+    const bool packed = voxels.packed.shape[0] > 0;
     auto distance = [&](size_t voxel) {
         if (packed) return (float)(short)voxels.packed.data[voxel];
         return voxels.distance_sum.data[voxel] / voxels.weight.data[voxel];

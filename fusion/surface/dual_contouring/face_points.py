@@ -14,9 +14,17 @@ from typing import Any
 import warp as wp
 
 from fusion.devices import Kernel, launch_in_slabs
-from fusion.surface.dual_contouring.dual_grid import Counts, DualGrid, place_of
+from fusion.surface.dual_contouring.dual_grid import Counts, DualGrid
+from fusion.surface.dual_contouring.faces import (
+    curve_edges,
+    edge_number_on_face,
+    is_ambiguous,
+    outside_corner,
+    pattern_of,
+    point_on_edge,
+)
 from fusion.surface.dual_contouring.oracle import Oracle, is_known, next_question
-from fusion.surface.layers import NONE, lowest_bit, number_of, step_along, vertex_number
+from fusion.surface.layers import NONE, lowest_bit, number_of
 from fusion.volume.tsdf_volume import Volume
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
@@ -30,78 +38,6 @@ _MOST_QUESTIONS = wp.constant(12)
 _BEYOND = wp.constant(1.0)
 """Voxels: so far a curve's apex may lie outside its face."""
 _SHORTEST = wp.constant(1.0e-3)
-
-
-@wp.func
-def face_u(axis: int) -> int:
-    """Return the first of the other two axes."""
-    return wp.where(axis == 0, 1, 0)
-
-
-@wp.func
-def face_v(axis: int) -> int:
-    """Return the second of the other two axes."""
-    return wp.where(axis == 2, 1, 2)
-
-
-@wp.func
-def is_ambiguous(pattern: int) -> bool:
-    """Return whether a face's inside corners lie across from each other."""
-    return pattern == 6 or pattern == 9
-
-
-@wp.func
-def edge_of_pattern(pattern: int, edge: int) -> bool:
-    """Return whether a face edge is crossed."""
-    low = wp.where(edge == 1, 2, wp.where(edge == 3, 1, 0))
-    high = wp.where(edge == 0, 1, wp.where(edge == 2, 2, 3))
-    return ((pattern >> low) & 1) != ((pattern >> high) & 1)
-
-
-@wp.func
-def curve_edges(pattern: int, curve: int) -> wp.vec2i:
-    """Return the two face edges that a curve joins."""
-    if is_ambiguous(pattern):
-        at_first = wp.where((pattern & 1) == 1, 2, 3)
-        return wp.vec2i(curve, wp.where(curve == 0, at_first, 5 - at_first))
-    found = wp.vec2i(-1, -1)
-    for edge in range(4):
-        if edge_of_pattern(pattern, edge):
-            if found[0] < 0:
-                found[0] = edge
-            else:
-                found[1] = edge
-    return found
-
-
-@wp.func
-def point_on_edge(edge: int, along: float) -> wp.vec2:
-    """Return a point of a face edge in the face."""
-    side = float(edge & 1)
-    if edge < 2:
-        return wp.vec2(along, side)
-    return wp.vec2(side, along)
-
-
-@wp.func
-def outside_corner(pattern: int, edge: int) -> wp.vec2:
-    """Return the outside one of a crossed face edge's two corners."""
-    low = wp.where(edge == 1, 2, wp.where(edge == 3, 1, 0))
-    return point_on_edge(edge, float((pattern >> low) & 1))
-
-
-@wp.func
-def edge_number_on_face(grid: DualGrid, slot: int, voxel: wp.vec3i, axis: int, edge: int) -> int:
-    """Return the number of the lattice edge that is a face's edge, for a face across ``axis`` from a voxel."""
-    u = face_u(axis)
-    v = face_v(axis)
-    at = voxel
-    if edge == 1:
-        at = voxel + step_along(v)
-    if edge == 3:
-        at = voxel + step_along(u)
-    place = place_of(grid.cells.upper, slot, at[0], at[1], at[2])
-    return vertex_number(grid.cells, place[0], wp.where(edge < 2, u, v), place[1])
 
 
 @wp.func
@@ -123,8 +59,8 @@ def both(point: wp.vec2) -> wp.vec4:
 
 
 @cache
-def face_kernel(value: Any, state_type: Any) -> Kernel:
-    """Return the kernel that asks an oracle for the curves' 2-D points; a thread takes a layer."""
+def _asker(value: Any, state_type: Any) -> Any:
+    """Return the function that asks an oracle for a point of a face across ``axis`` from ``origin``."""
 
     @wp.func
     def ask(state: state_type, number: int, origin: wp.vec3, axis: int, at: wp.vec2) -> float:
@@ -136,6 +72,14 @@ def face_kernel(value: Any, state_type: Any) -> Kernel:
         else:
             point += wp.vec3(at[0], at[1], 0.0)
         return value(state, number, point)
+
+    return ask
+
+
+@cache
+def _searcher(value: Any, state_type: Any) -> Any:
+    """Return the function that asks along a line in a face where the sign changes."""
+    ask = _asker(value, state_type)
 
     @wp.func
     def search(
@@ -179,6 +123,14 @@ def face_kernel(value: Any, state_type: Any) -> Kernel:
                 return 0.5 * (low + high)
         return 0.5 * (low + high)
 
+    return search
+
+
+@cache
+def _finder(value: Any, state_type: Any) -> Any:
+    """Return the function that finds a curve's 2-D point."""
+    ask, search = _asker(value, state_type), _searcher(value, state_type)
+
     @wp.func
     def curve_point(
         state: state_type, number: int, origin: wp.vec3, axis: int, a: wp.vec2, b: wp.vec2, outside: wp.vec2
@@ -217,6 +169,14 @@ def face_kernel(value: Any, state_type: Any) -> Kernel:
             h = halfway + right * tangent
         return wp.vec4(g[0], g[1], h[0], h[1])
 
+    return curve_point
+
+
+@cache
+def face_kernel(value: Any, state_type: Any) -> Kernel:
+    """Return the kernel that asks an oracle for the curves' 2-D points; a thread takes a layer."""
+    curve_point = _finder(value, state_type)
+
     @wp.kernel(module="unique", enable_backward=False, module_options={"max_unroll": 1})
     def search_faces(
         first: int,
@@ -251,24 +211,6 @@ def face_kernel(value: Any, state_type: Any) -> Kernel:
                 left = left & (left - wp.uint64(1))
 
     return search_faces
-
-
-@wp.func
-def is_inside(grid: DualGrid, slot: int, voxel: wp.vec3i) -> int:
-    """Return 1 where a voxel, seen from a slot, is inside."""
-    place = place_of(grid.cells.upper, slot, voxel[0], voxel[1], voxel[2])
-    return int((grid.cells.inside[place[0]] >> wp.uint64(place[1])) & wp.uint64(1))
-
-
-@wp.func
-def pattern_of(grid: DualGrid, slot: int, voxel: wp.vec3i, axis: int) -> int:
-    """Return which corners of the face across ``axis`` from a voxel are inside, as ``face_pattern`` does."""
-    u = step_along(face_u(axis))
-    v = step_along(face_v(axis))
-    pattern = is_inside(grid, slot, voxel)
-    pattern |= is_inside(grid, slot, voxel + u) << 1
-    pattern |= is_inside(grid, slot, voxel + v) << 2
-    return pattern | (is_inside(grid, slot, voxel + u + v) << 3)
 
 
 def face_points(volume: Volume, grid: DualGrid, counts: Counts, oracle: Oracle, along: wp.array) -> wp.array:

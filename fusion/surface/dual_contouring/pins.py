@@ -8,10 +8,9 @@ is.
 import warp as wp
 
 from fusion.devices import launch_in_slabs
-from fusion.surface.dual_contouring.cell_points import Vertices
 from fusion.surface.dual_contouring.cell_table import NO_VERTEX
 from fusion.surface.dual_contouring.dual_grid import Counts, DualGrid, cell_number, curve_number, pin_number, place_of
-from fusion.surface.dual_contouring.face_points import (
+from fusion.surface.dual_contouring.faces import (
     curve_edges,
     edge_number_on_face,
     face_u,
@@ -21,6 +20,7 @@ from fusion.surface.dual_contouring.face_points import (
     point_on_edge,
 )
 from fusion.surface.dual_contouring.qef import INSET
+from fusion.surface.dual_contouring.vertices import Vertices, set_vertex_between
 from fusion.surface.layers import NONE, lowest_bit, number_of, step_along
 from fusion.volume.tsdf_volume import Volume
 
@@ -28,15 +28,6 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 _INSET = wp.constant(INSET)
 _NO_VERTEX = wp.constant(NO_VERTEX)
-
-
-@wp.func
-def as_bytes(total: wp.vec4) -> wp.vec3ub:
-    """Return the average of a sum of colours and their count; black where there are none."""
-    scale = 1.0 / wp.max(total[3], 1.0)
-    return wp.vec3ub(
-        wp.uint8(scale * total[0] + 0.5), wp.uint8(scale * total[1] + 0.5), wp.uint8(scale * total[2] + 0.5)
-    )
 
 
 @wp.func
@@ -96,6 +87,19 @@ def vertex_of_edge(grid: DualGrid, layer: int, bit: int, edge: int) -> int:
     return grid.vertex_starts[cell] + own
 
 
+@wp.func
+def vertices_beside(grid: DualGrid, slot: int, layer: int, bit: int, axis: int, ends: wp.vec2i) -> wp.vec4i:
+    """Return the vertices that the cells on both sides of a face have for the two edges that a curve joins."""
+    at = wp.vec3i(bit & 7, bit >> 3, layer & 7) - step_along(axis)
+    before = place_of(grid.cells.lower, slot, at[0], at[1], at[2])
+    return wp.vec4i(
+        vertex_of_edge(grid, layer, bit, edge_in_cell(axis, ends[0], False)),
+        vertex_of_edge(grid, before[0], before[1], edge_in_cell(axis, ends[0], True)),
+        vertex_of_edge(grid, layer, bit, edge_in_cell(axis, ends[1], False)),
+        vertex_of_edge(grid, before[0], before[1], edge_in_cell(axis, ends[1], True)),
+    )
+
+
 @wp.kernel
 def _place_pins(
     first: int,
@@ -116,7 +120,6 @@ def _place_pins(
     slot = layer >> 3
     corner = 8 * blocks[number_of(grid.cells, slot)]
     for axis in range(3):
-        back = -step_along(axis)
         left = grid.pins[2 * layer, axis] | grid.pins[2 * layer + 1, axis]
         while left != NONE:
             bit = lowest_bit(left)
@@ -138,24 +141,10 @@ def _place_pins(
                     )
                     place[face_u(axis)] += point[0]
                     place[face_v(axis)] += point[1]
-                    normal = wp.vec3()
-                    color = wp.vec4()
-                    before = place_of(
-                        grid.cells.lower, slot, voxel[0] + back[0], voxel[1] + back[1], voxel[2] + back[2]
+                    around = vertices_beside(grid, slot, layer, bit, axis, ends)
+                    set_vertex_between(
+                        pin, voxel_size * place, around, cell_colors, cell_normals, points, colors, normals
                     )
-                    for end in range(2):
-                        for side in range(2):
-                            at = wp.vec2i(layer, bit)
-                            if side == 1:
-                                at = before
-                            vertex = vertex_of_edge(grid, at[0], at[1], edge_in_cell(axis, ends[end], side == 1))
-                            if vertex >= 0:
-                                normal += cell_normals[vertex]
-                                own = cell_colors[vertex]
-                                color += wp.vec4(float(own[0]), float(own[1]), float(own[2]), 1.0)
-                    points[pin] = voxel_size * place
-                    colors[pin] = as_bytes(color)
-                    normals[pin] = wp.normalize(normal)
             left = left & (left - wp.uint64(1))
 
 

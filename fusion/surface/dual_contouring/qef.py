@@ -11,35 +11,6 @@ REGULARISATION = 0.003
 
 SWEEPS = 24
 
-ONE_CELL_IN_CPP = "using V = float;\n"
-"""C++ before ``QEF_IN_CPP``: numbers of a single cell."""
-
-LANES = 8
-
-LANES_IN_CPP = f"""
-#ifdef __CUDA_ARCH__
-    constexpr int LANES = 1;
-    using V = float;
-    using I = int;
-    using L = wp::uint64;
-    auto to_floats = [](I x) {{ return (float)x; }};
-    auto to_ints = [](L x) {{ return (int)(unsigned int)x; }};
-#else
-    constexpr int LANES = {LANES};
-    typedef float V __attribute__((ext_vector_type(LANES)));
-    typedef int I __attribute__((ext_vector_type(LANES)));
-    typedef unsigned long long L __attribute__((ext_vector_type(LANES)));
-    auto to_floats = [](I x) {{ return __builtin_convertvector(x, V); }};
-    auto to_ints = [](L x) {{ return __builtin_convertvector(x, I); }};
-#endif
-    struct {{
-        float *operator()(V &x) const {{ return (float *)&x; }}
-        const float *operator()(const V &x) const {{ return (const float *)&x; }}
-        wp::uint64 *operator()(L &x) const {{ return (wp::uint64 *)&x; }}
-    }} lanes_of;
-"""
-"""C++ before ``QEF_IN_CPP``: numbers ``V`` of as many cells as a vector instruction takes, on CUDA of one."""
-
 QEF_IN_CPP = (
     f"constexpr float LOWEST = {INSET}f, HIGHEST = 1.0f - {INSET}f, WEIGHT = {REGULARISATION}f;\n"
     f"constexpr int SWEEPS = {SWEEPS};\n"
@@ -105,4 +76,4 @@ QEF_IN_CPP = (
     };
 """
 )
-"""C++ for the top of a native function, after one that says what ``V`` is."""
+"""C++ for the top of a native function, after what says what ``V`` is (``lanes``)."""

@@ -51,7 +51,8 @@ SPLIT_IN_CPP = (
         const V second = diagonal_passes_at(corners[1], corners[2], corners[3], corners[0]);
         const V zero = 0.0f, one = 1.0f;
         const V chosen = distance(second, along) < distance(first, along) ? one : zero;
-        return (first == NOT_ALLOWED) & (second == NOT_ALLOWED) ? (V)(float)FAN : chosen;
+        const auto neither = (first == NOT_ALLOWED) & (second == NOT_ALLOWED);
+        return neither ? (V)(float)FAN : chosen;
     };
 """
 )

@@ -8,7 +8,7 @@ from datagen.open_dataset import open_dataset
 from datagen.rigid import look_at
 from fusion.devices import resolve_device
 from fusion.evaluation.evaluate import Observers
-from fusion.evaluation.sharp_edges import sharp_edge_error, sharp_edge_points
+from fusion.evaluation.sharp_edges import seen_sharp_edges, sharp_edge_error, sharp_edge_points, smooth_error
 from fusion.surface.mesh import Mesh
 from fusion.surface.mesh_ray_casting import cast_rays_at_mesh
 
@@ -48,7 +48,26 @@ def test_a_chamfered_cube_misses_each_edge_by_the_chamfers_depth(tmp_path):
     h, low = side / 2, side / 2 - cut
     points = [p for a in (-h, h) for b in (-low, low) for c in (-low, low) for p in ((a, b, c), (b, a, c), (b, c, a))]
     chamfered = as_mesh(trimesh.PointCloud(points).convex_hull)
-    error = sharp_edge_error(chamfered, cube, spacing=0.002, observed_by=seen, device=CPU)
+    edges = seen_sharp_edges(cube, spacing=0.002, observed_by=seen, device=CPU)
+    assert len(edges) == len(sharp_edge_points(cube, spacing=0.002))
+    error = sharp_edge_error(chamfered, edges, device=CPU)
     # Along an edge the chamfer is cut/√2 away; at its ends, over the length of one cut each, up to 2/√3 cut.
     assert cut / 2**0.5 < error < 1.05 * cut / 2**0.5
-    assert sharp_edge_error(cube, cube, spacing=0.002, observed_by=seen, device=CPU) == pytest.approx(0, abs=1e-7)
+    assert sharp_edge_error(cube, edges, device=CPU) == pytest.approx(0, abs=1e-7)
+    # One camera before a corner sees the three edges there, perhaps those on its outline, none of the three behind.
+    one = Observers(dataset=dataset, frame_ids=dataset.frame_ids[:1])
+    some = seen_sharp_edges(cube, spacing=0.002, observed_by=one, device=CPU)
+    assert 3 / 12 * len(edges) <= len(some) + 3 <= 9 / 12 * len(edges) + 6
+    behind = np.isclose(some, -corners[0] * side / 2, atol=1e-6).sum(axis=1)
+    # But where these meet the outline, and two pixels' widths, 7 mm of each, are not told from it.
+    assert (behind == 2).sum() <= 3 * 2 * 0.01 / 0.002
+    assert sharp_edge_error(cube, np.empty((0, 3)), device=CPU) is None
+
+
+def test_smooth_parts_are_those_away_from_the_edges():
+    # A cube whose faces are moved out by 1 cm each, and whose truth's edges are thereby 1.7 cm off.
+    truth, moved = (as_mesh(trimesh.creation.box([side] * 3)) for side in (0.4, 0.42))
+    assert smooth_error(moved, truth, beyond=0.03, device=CPU) == pytest.approx(0.01, abs=1e-6)
+    assert smooth_error(moved, truth, beyond=0.5, device=CPU) is None
+    ball, larger = (as_mesh(trimesh.creation.icosphere(subdivisions=4, radius=r)) for r in (0.3, 0.31))
+    assert smooth_error(larger, ball, beyond=0.03, device=CPU) == pytest.approx(0.01, rel=0.02)

@@ -1,4 +1,6 @@
+import json
 import re
+import shutil
 
 import numpy as np
 import pytest
@@ -46,7 +48,7 @@ def test_the_numbers_on_the_page_are_those_of_the_records(reported):
     assert {record.frames for record in records} == {10, 12}
     assert len({record.voxel_size_m for record in records}) == 4
     assert len({record.truncation_m for record in records}) == 5
-    assert len(records) == 11  # none of them twice
+    assert len(records) == 9 + 4  # none of them twice: nine fused, and four meshed from two of these
     for record in records:
         assert f"<dd>{record.vertices:,}</dd>" in page
         assert f"<dd>{1000 * record.metrics['chamfer_m']:.3g} mm</dd>" in page
@@ -64,12 +66,57 @@ def test_a_second_report_makes_no_reconstruction_again(reported, monkeypatch):
         raise AssertionError("reconstructed again")
 
     monkeypatch.setattr(runs, "reconstruct", refuse)
+    monkeypatch.setattr(runs, "mesh_volume", refuse)
     page = reported / "out" / "report.html"
     before = page.read_bytes()
     page.unlink()
     arguments = ["report", str(reported / "ball"), str(reported / "out"), "--voxel-size", "0.02", "--device", "cpu"]
     assert main(arguments) == 0
     assert page.read_bytes() == before
+
+
+def test_a_volume_is_kept_no_longer_than_it_is_meshed(reported):
+    assert not list((reported / "out").glob("runs/ball/*/volume.npz"))
+
+
+def test_an_interrupted_figure_goes_on(reported, tmp_path, monkeypatch):
+    # One of the four meshes is lost: it alone is meshed again, from the volume that is fused again.
+    shutil.copytree(reported / "ball", tmp_path / "ball")
+    shutil.copytree(reported / "out", tmp_path / "out")
+    lost = next(
+        path.parent
+        for path in (tmp_path / "out").glob("runs/ball/meshed-*/reconstruction.json")
+        if read_record(path.parent).config["oracle"] == "volume"
+    )
+    shutil.rmtree(lost)
+    counted = []
+    mesh_volume = runs.mesh_volume
+    monkeypatch.setattr(
+        runs, "mesh_volume", lambda *given, **options: counted.append(given) or mesh_volume(*given, **options)
+    )
+    monkeypatch.setattr(runs, "TIMED_FOR", 0.0)
+    assert (
+        main(["report", str(tmp_path / "ball"), str(tmp_path / "out"), "--voxel-size", "0.02", "--device", "cpu"]) == 0
+    )
+    assert {given[1] for given in counted} == {"dual-contouring"}
+    assert (lost / "mesh.ply").is_file()
+
+
+def test_what_dual_contouring_costs_and_gains_is_said_with_the_numbers_of_its_records(reported):
+    page = (reported / "out" / "report.html").read_text()
+    made = {}
+    for path in (reported / "out").glob("runs/ball/meshed-*/reconstruction.json"):
+        record = read_record(path.parent)
+        seconds = json.loads((path.parent / runs.VARIANT_FILE).read_text())["seconds"]
+        made[record.config["mesher"], record.config["oracle"], record.voxel_size_m] = record, seconds
+    cubes, coarse = made["marching-cubes", "depth", 0.02], made["dual-contouring", "depth", 0.04]
+    share = 100 * coarse[0].vertices / cubes[0].vertices
+    assert f"On voxels twice as large it has {share:.0f} % of them" in page
+    times = made["dual-contouring", "volume", 0.02][1] / cubes[1]
+    assert f"it costs {times:.2g} times marching cubes" in page
+    # A ball has no sharp edges, and all of it is smooth.
+    assert "<dt>smooth parts</dt>" in page
+    assert "<dt>sharp edges</dt>" not in page
 
 
 def test_two_datasets_of_one_name_are_refused(reported, tmp_path, capsys):
