@@ -14,7 +14,7 @@ from datagen.open_dataset import open_dataset
 from fusion.commands.arguments import add_device, add_frames, add_json, print_json
 from fusion.pose.epipolar import FEATURES
 from fusion.pose.locate import LocateOptions, frames_to_locate, locate_queries, write_poses
-from fusion.pose.located_picture import write_picture
+from fusion.pose.located_picture import require_png, write_picture
 from fusion.pose.mask_source import MaskChoice
 from fusion.pose.query_source import ImageFiles, QuerySource, image_query
 from fusion.pose.target import is_model_file
@@ -109,6 +109,8 @@ def _add_query(command: argparse.ArgumentParser) -> None:
 
 
 def _run(options: argparse.Namespace) -> None:
+    if options.picture is not None:
+        require_png(options.picture)
     source = _queries(options)
     settings = LocateOptions(
         stages=options.stages, features=options.features, model_scale=options.model_scale, device=options.device

@@ -14,13 +14,17 @@ from fusion.pose.query_source import QuerySource
 MOST_QUERIES = 8
 
 
+def require_png(path: Path) -> None:
+    """Raise InputError unless ``path`` is named as a PNG file."""
+    if path.suffix.lower() != ".png":
+        raise InputError(f"--picture {path}: is written as PNG; end the name in .png")
+
+
 def write_picture(path: Path, source: QuerySource, located: Located) -> None:
     """Write up to eight queries, evenly chosen, as PNG, each with the outline before and after refinement.
 
-    Queries without a pose are shown without an outline. Raises InputError for another suffix than .png.
+    Queries without a pose are shown without an outline.
     """
-    if path.suffix.lower() != ".png":
-        raise InputError(f"--picture {path}: is written as PNG; end the name in .png")
     count = len(located.results)
     chosen = np.unique(np.linspace(0, count - 1, min(count, MOST_QUERIES)).round().astype(int))
     model = located.target.model
