@@ -35,8 +35,9 @@ from fusion.pose.depth_refinement import DepthRefinementOptions, refine_with_dep
 from fusion.pose.query import query_cloud
 from fusion.pose.stages import refine
 from fusion.pose_benchmark.protocol import chosen_trials, parse_trials, trials_of
-from fusion.pose_benchmark.run_case import Case, make_task, pose_errors, timed
+from fusion.pose_benchmark.run_case import pose_errors
 from fusion.pose_benchmark.scanned_subject import scanned_subject
+from fusion.pose_benchmark.tasks import Case, make_task, timed
 from fusion.pose_benchmark.ycb_video import is_ycb_video, ycb_video_subjects
 
 PEER_POINTS = 8000

@@ -15,10 +15,11 @@ from fusion.pose_benchmark.histograms import error_histograms
 from fusion.pose_benchmark.overlays import Overlay, overlays
 from fusion.pose_benchmark.page import Section, render_page
 from fusion.pose_benchmark.protocol import Trial, chosen_trials, trials_of
-from fusion.pose_benchmark.run_case import Case, run_case
+from fusion.pose_benchmark.run_case import run_case
 from fusion.pose_benchmark.scanned_subject import scanned_subject
 from fusion.pose_benchmark.subjects import Kind, Subject
 from fusion.pose_benchmark.summary import Row, as_markdown, rows_as_json, summarize
+from fusion.pose_benchmark.tasks import Case
 from fusion.pose_benchmark.ycb_video import is_ycb_video, ycb_video_subjects
 from fusion.reconstruction_files import installed_versions
 from fusion.report.page import encode_png

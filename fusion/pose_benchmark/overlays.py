@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from fusion.pose.overlay import before_and_after
 from fusion.pose_benchmark.case_files import CaseResult
 from fusion.pose_benchmark.protocol import Trial
-from fusion.pose_benchmark.run_case import Case
 from fusion.pose_benchmark.subjects import Subject
+from fusion.pose_benchmark.tasks import Case
 from fusion.pose_benchmark.views import spoiled
 from fusion.render import resized
 

@@ -34,10 +34,10 @@ LARGE_ERROR = Perturbation(degrees=40.0, metres=0.16)
 class Trial:
     """One part of the protocol.
 
-    ``start``: what ``nearest`` finds and aligns, as ``fusion locate`` does; the pose of the fused view that is in truth
-    the nearest; or the truth, perturbed. ``stages`` refine it, ``repeats`` times a frame from different starts. A
-    query is either ``depth`` with its colours, or a ``mask`` alone; ``noise`` spoils it. ``with_vsd``: the visible
-    surface discrepancy is told too, for which the model has to be rendered.
+    ``start``: what ``nearest`` finds and aligns, as ``fusion locate`` does, by the outline where there is no depth; the
+    pose of the fused view that is in truth the nearest; or the truth, perturbed. ``stages`` refine it, ``repeats``
+    times a frame from different starts. A query is either ``depth`` with its colours, or a ``mask`` alone; ``noise``
+    spoils it. ``with_vsd``: the visible surface discrepancy is told too, for which the model has to be rendered.
     """
 
     name: str
@@ -93,6 +93,14 @@ def _object_trials(width_px: int) -> tuple[Trial, ...]:
             stages=("silhouette",),
             sees="mask",
             bars=(median_rotation(at_most=0.5), median_translation(at_most=2), strict, refinement_time(), *bop),
+        ),
+        Trial(
+            name="outline",
+            title="clean, mask alone, from the view that its outline finds",
+            start="found",
+            stages=("silhouette",),
+            sees="mask",
+            bars=(nearest_found(), *errors, strict, within_bounds(centimetres=5, degrees=5), said_found()),
         ),
         _convergence("off-10", SMALL_ERROR, 99, errors),
         _convergence("off-40", LARGE_ERROR, 95, errors),

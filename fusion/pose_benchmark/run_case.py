@@ -1,15 +1,6 @@
-"""One case: a view, spoiled where the trial says so, a start, the stages, and the errors of what they found."""
-
-import hashlib
-import json
-import time
-import zlib
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import TypeVar
+"""One case: its task, the stages, and the errors of what they found."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datagen.errors import InputError
 from datagen.rigid import Matrix, inverse
@@ -23,127 +14,12 @@ from fusion.evaluation.pose_errors import (
     translation_error,
     visible_surface_discrepancy,
 )
-from fusion.pose.epipolar import ReferenceFrame
-from fusion.pose.evidence import gather_evidence
-from fusion.pose.nearest_pose import NearestPose, find_nearest_pose
-from fusion.pose.query import Query
-from fusion.pose.se3 import log_so3
+from fusion.pose.confidence import assess
 from fusion.pose.stages import refine
-from fusion.pose.verdict import judge
-from fusion.pose_benchmark.case_files import CaseResult, Cost, NearestFound, PoseErrors
-from fusion.pose_benchmark.perturbations import Perturbation, perturbed
-from fusion.pose_benchmark.protocol import Trial
-from fusion.pose_benchmark.subjects import Fused, Subject
-from fusion.pose_benchmark.views import View, spoiled
+from fusion.pose_benchmark.case_files import CaseResult, PoseErrors
+from fusion.pose_benchmark.subjects import Subject
+from fusion.pose_benchmark.tasks import Case, Task, make_task, timed
 from fusion.surface.mesh_ray_casting import cast_rays_at_mesh
-
-REFERENCES = 3
-"""How many of the nearest fused frames the features are looked for in, as ``fusion locate`` does."""
-
-_Value = TypeVar("_Value")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Case:
-    """A query of a subject in a trial; ``repeat`` counts the starts from one frame."""
-
-    subject: Subject
-    trial: Trial
-    frame: int
-    repeat: int
-    seed: int
-
-    @property
-    def rng(self) -> np.random.Generator:
-        """The case's own randomness, the same in whatever order cases are run."""
-        names = zlib.crc32(f"{self.subject.name}/{self.trial.name}".encode())
-        return np.random.default_rng([self.seed, names, self.frame, self.repeat])
-
-    @property
-    def identity(self) -> str:
-        """A digest of what the result depends on, but for the program itself."""
-        told = [self.subject.identity, self.trial.conditions, self.frame, self.repeat, self.seed]
-        return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:16]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Task:
-    """What a case gives to whoever locates: the query, where to start, and the fused frames nearest to that."""
-
-    case: Case
-    view: View
-    query: Query
-    start: Matrix
-    nearest: NearestFound | None
-    references: tuple[ReferenceFrame, ...]
-
-    @property
-    def truth(self) -> Matrix:
-        """The query's true world_from_camera."""
-        return self.view.world_from_camera
-
-
-def make_task(case: Case) -> Task:
-    """Make a case's query and start; raises InputError where no start can be found."""
-    trial, subject, rng = case.trial, case.subject, case.rng
-    exact = subject.view(case.frame)
-    view = exact if trial.noise is None else spoiled(exact, trial.noise, rng=rng)
-    if trial.sees == "mask":
-        query = Query(camera=view.camera, mask=view.seen)
-    else:
-        query = Query(camera=view.camera, depth=view.depth, color=view.color, mask=view.mask)
-    task = Task(case=case, view=view, query=query, start=exact.world_from_camera, nearest=None, references=())
-    if isinstance(trial.start, Perturbation):
-        start = perturbed(exact.world_from_camera, trial.start, pivot_world=subject.centre_world, rng=rng)
-        return replace(task, start=start)
-    if subject.fused is None:
-        raise InputError(f"{subject.name}: was not fused from frames, so that none of them is the nearest")
-    if trial.start == "nearest view":
-        return replace(task, start=subject.fused.poses[_truly_nearest(subject.fused, exact)])
-    found, cost = timed(lambda: find_nearest_pose(subject.fused.index, view.depth, mask=view.mask))  # type: ignore[union-attr]
-    return replace(
-        task,
-        start=found.estimate,
-        nearest=_nearest(subject.fused, exact, found, cost),
-        references=_references(subject.fused, trial, found),
-    )
-
-
-def timed(work: Callable[[], _Value]) -> tuple[_Value, Cost]:
-    """Return what ``work`` returns, and what it cost."""
-    processor, wall = time.process_time(), time.perf_counter()
-    value = work()
-    return value, Cost(processor_s=time.process_time() - processor, wall_s=time.perf_counter() - wall)
-
-
-def view_distances(fused: Fused, view: View) -> NDArray[np.float64]:
-    """Return how far each fused view is from a query, radians: √(θ² + (‖t‖/z)²), z the median depth of what it sees."""
-    depth = float(np.median(view.depth[view.seen]))
-    pose, others = view.world_from_camera, np.stack(list(fused.poses.values()))
-    turns = np.linalg.norm(log_so3(np.swapaxes(others[:, :3, :3], 1, 2) @ pose[:3, :3]), axis=1)
-    shifts = np.linalg.norm(others[:, :3, 3] - pose[:3, 3], axis=1)
-    return np.hypot(turns, shifts / depth)
-
-
-def _truly_nearest(fused: Fused, exact: View) -> int:
-    return fused.frames[int(view_distances(fused, exact).argmin())]
-
-
-def _nearest(fused: Fused, exact: View, found: NearestPose, cost: Cost) -> NearestFound:
-    distances = view_distances(fused, exact)
-    return NearestFound(
-        frame=fused.frames[found.index],
-        distance=float(distances[found.index]),
-        least_distance=float(distances.min()),
-        ambiguous=found.ambiguous,
-        cost=cost,
-    )
-
-
-def _references(fused: Fused, trial: Trial, found: NearestPose) -> tuple[ReferenceFrame, ...]:
-    if "epipolar" not in trial.stages:
-        return ()
-    return tuple(fused.reference(fused.frames[i]) for i in found.indices[:REFERENCES])
 
 
 def run_case(case: Case) -> CaseResult:
@@ -165,16 +41,15 @@ def run_case(case: Case) -> CaseResult:
         lambda: refine(case.subject.model, task.query, task.references, task.start, case.trial.stages)
     )
     estimate = results[-1].world_from_camera
-    verdict = judge(results[-1], gather_evidence(case.subject.model, task.query, estimate))
-    ambiguous = task.nearest is not None and task.nearest.ambiguous
+    verdict = assess(case.subject.model, task.query, results).verdict
     return outline.model_copy(
         update={
             "start": task.start.tolist(),
             "start_errors": pose_errors(task, task.start),
-            "estimate": results[-1].world_from_camera.tolist(),
-            "errors": pose_errors(task, results[-1].world_from_camera, with_vsd=case.trial.with_vsd),
+            "estimate": estimate.tolist(),
+            "errors": pose_errors(task, estimate, with_vsd=case.trial.with_vsd),
             "nearest": task.nearest,
-            "verdict": "doubtful" if ambiguous and verdict.answer == "found" else verdict.answer,
+            "verdict": verdict.answer,
             "reasons": verdict.reasons,
             "cost": cost,
         }

@@ -17,8 +17,8 @@ from datagen.rigid import rigid
 from fusion.devices import Device
 from fusion.evaluation.pose_errors import ModelPoints
 from fusion.evaluation.symmetries import symmetry_transforms
-from fusion.pose.epipolar import ReferenceFrame
 from fusion.pose.pose_model import PoseModel, prepare_model
+from fusion.pose.reference_frame import ReferenceFrame
 from fusion.pose.view_index import index_views
 from fusion.pose_benchmark.subjects import Fused, Kind, Subject
 from fusion.pose_benchmark.views import View

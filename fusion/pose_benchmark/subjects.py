@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from datagen.rigid import Matrix
 from fusion.evaluation.pose_errors import ModelPoints
-from fusion.pose.epipolar import ReferenceFrame
 from fusion.pose.pose_model import PoseModel
+from fusion.pose.reference_frame import ReferenceFrame
 from fusion.pose.view_index import ViewIndex
 from fusion.pose_benchmark.views import View
 
