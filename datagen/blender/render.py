@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import bpy
 import numpy as np
@@ -10,6 +11,8 @@ from numpy.typing import NDArray
 
 from datagen.blender.camera import FILTER_WIDTH_PX, read_pose
 from datagen.color import srgb8_from_linear
+from datagen.errors import InputError
+from datagen.errors import InputError
 from datagen.rigid import Matrix
 from datagen.scene_spec.render_settings import RenderSettings
 
@@ -31,7 +34,8 @@ def configure_render(scene: bpy.types.Scene, settings: RenderSettings, *, thread
     """Set Cycles up for ``settings``.
 
     Motion blur stays off, as it would spoil depth, and so does the compositor. Persistent data keeps the scene's
-    acceleration structure from frame to frame. ``threads`` 0 takes all cores.
+    acceleration structure from frame to frame. ``threads`` 0 takes all cores. Raises InputError where Blender was built
+    without the denoiser that ``settings`` ask for.
     """
     render = scene.render
     render.engine = "CYCLES"
@@ -56,16 +60,27 @@ def configure_render(scene: bpy.types.Scene, settings: RenderSettings, *, thread
     cycles.use_light_tree = False
     cycles.use_animated_seed = False
     cycles.use_denoising = settings.denoise
-    cycles.denoiser = "OPENIMAGEDENOISE"
-    cycles.denoising_quality = "FAST"
-    cycles.denoising_input_passes = "RGB_ALBEDO_NORMAL" if settings.denoise_guided else "RGB"
-    cycles.denoising_prefilter = "FAST" if settings.denoise_guided else "NONE"
+    if settings.denoise:
+        _configure_denoiser(cycles, guided=settings.denoise_guided)
     first, *others = scene.view_layers
     first.use = first.use_pass_z = True
     first.use_pass_object_index = "masks" in settings.layers
     for other in others:
         other.use = False
     _configure_exr(render.image_settings)
+
+
+def _configure_denoiser(cycles: Any, *, guided: bool) -> None:
+    try:
+        cycles.denoiser = "OPENIMAGEDENOISE"
+    except TypeError as error:  # Debian's Blender has none
+        raise InputError(
+            f"Blender {bpy.app.version_string} was built without OpenImageDenoise; choose the preset draft, "
+            "which is not denoised, or a Blender from blender.org"
+        ) from error
+    cycles.denoising_quality = "FAST"
+    cycles.denoising_input_passes = "RGB_ALBEDO_NORMAL" if guided else "RGB"
+    cycles.denoising_prefilter = "FAST" if guided else "NONE"
 
 
 def render_frame(scene: bpy.types.Scene, frame: int, *, seed: int, scratch: Path) -> RenderedFrame:
@@ -114,6 +129,19 @@ def frame_seed(seed: int, frame: int, *more: int) -> int:
     ``more`` numbers tell apart what is rendered for one frame beside the first image.
     """
     return int(np.random.SeedSequence([seed, frame, *more]).generate_state(1)[0] >> 1)
+
+
+def _configure_denoiser(cycles: Any, *, guided: bool) -> None:
+    try:
+        cycles.denoiser = "OPENIMAGEDENOISE"
+    except TypeError:
+        raise InputError(
+            "[render] denoise: this Blender was built without OpenImageDenoise; switch denoise off, or choose the "
+            "preset draft"
+        ) from None
+    cycles.denoising_quality = "FAST"
+    cycles.denoising_input_passes = "RGB_ALBEDO_NORMAL" if guided else "RGB"
+    cycles.denoising_prefilter = "FAST" if guided else "NONE"
 
 
 def _configure_exr(image: bpy.types.ImageFormatSettings) -> None:
