@@ -8,10 +8,6 @@ On CUDA nothing waits for the device in the steady state: two pinned buffers tak
 captured once as a graph, and whether its blocks found room is looked up when its buffer is needed again.
 """
 
-import zlib
-from dataclasses import dataclass, replace
-from typing import Any
-
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
@@ -19,72 +15,33 @@ from numpy.typing import NDArray
 from datagen.camera import PinholeCamera
 from datagen.dataset import Frame
 from datagen.errors import InputError
-from datagen.rigid import Matrix, rigid
+from datagen.rigid import Matrix
 from fusion.devices import load_kernels, resolve_device
 from fusion.frames.depth_tiles import DepthTiles
 from fusion.frames.frame_batch import FrameBatch, FrameUploader
 from fusion.frames.frame_matrices import frame_matrices
-from fusion.frames.frame_source import near_origin
 from fusion.frames.survey import SceneSurvey
 from fusion.integration.find_blocks import launch_find_blocks, out_of_range
 from fusion.integration.fuse_batch import integrate_batch, load_fusion_kernels, survey_batch
+from fusion.integration.live_frames import checked_pose, fingerprint, with_weights
+from fusion.integration.live_slots import LiveSlot, note_changes, note_outcome
 from fusion.integration.options import Integration
 from fusion.reconstruction_config import EXACT, ReconstructionConfig, check_length, choose_lengths
 from fusion.surface.marching_cubes import marching_cubes
 from fusion.surface.mesh import Mesh
 from fusion.surface.mesh_pieces import MeshPiece, MeshPieces
-from fusion.volume.block_table import OUT_OF_RANGE, TABLE_FULL, BlockArrays
+from fusion.volume.block_table import OUT_OF_RANGE, TABLE_FULL
 from fusion.volume.memory_budget import INDEX_LIMIT, block_budget
 from fusion.volume.tsdf_volume import Volume
 from fusion.volume.voxels import Storage
 
-wp.set_module_options({"enable_backward": False, "max_unroll": 1})
-
 KERNEL_MODULES = (
-    "fusion.integration.live_volume",
+    "fusion.integration.live_slots",
     "fusion.surface.cells",
     "fusion.surface.marching_cubes",
     "fusion.surface.mesh_pieces",
 )
 _FIRST_CAPACITY = 1 << 13
-_TABLE_FULL = wp.constant(TABLE_FULL)
-
-
-@wp.kernel
-def _sum_up(answers: wp.array(dtype=int), table: BlockArrays, outcome: wp.array(dtype=int)) -> None:
-    # outcome: what stood in the way, and how many blocks there are.
-    index = wp.tid()
-    room = table.blocks.shape[0]
-    if answers[index] != 0:
-        wp.atomic_max(outcome, 0, answers[index])
-    if index == 0:
-        outcome[1] = wp.min(table.count[0], room)
-        if table.count[0] > room:
-            # Another frame claimed what it was given no room for, and this one may have found that present.
-            wp.atomic_max(outcome, 0, _TABLE_FULL)
-
-
-@wp.kernel
-def _note_changes(masks: wp.array2d(dtype=wp.uint32), changed: wp.array(dtype=wp.uint8)) -> None:
-    number = wp.tid()
-    for part in range(masks.shape[1]):
-        if masks[number, part] != wp.uint32(0):
-            changed[number] = wp.uint8(1)
-
-
-@dataclass(kw_only=True)
-class _Slot:
-    """One of two buffers for a frame on its way into the volume.
-
-    ``outcome`` (2,) int is pinned: it tells what stood in the way and how many blocks there were.
-    """
-
-    upload: FrameUploader
-    outcome: wp.array
-    done: Any = None
-    batch: FrameBatch | None = None
-    frame_id: int | None = None
-    graph: Any = None
 
 
 class LiveVolume:
@@ -134,7 +91,7 @@ class LiveVolume:
         load_fusion_kernels(self.integration, device=on, depth_type=depth_type)
         load_kernels(KERNEL_MODULES, device=on)
         self._slots = [
-            _Slot(
+            LiveSlot(
                 upload=FrameUploader(camera, device=on, capacity=1, depth_scale=depth_scale, turns=1),
                 outcome=wp.zeros(2, dtype=int, device="cpu", pinned=on.is_cuda),
             )
@@ -160,7 +117,7 @@ class LiveVolume:
         refused changes no voxel. On CUDA an error may be that of one of the two frames before, which it names; this
         frame is then added nonetheless.
         """
-        pose = self._checked_pose(frame)
+        pose = checked_pose(frame, self.camera, self._depth_dtype)
         if frame.frame_id in self._prints:
             raise InputError(f"frame {frame.frame_id} is in the volume already; remove it before adding it again")
         self._make_room()
@@ -174,7 +131,7 @@ class LiveVolume:
         slot.batch = self._upload(slot, frame, pose, pixel_weights)
         self._launch(slot)
         slot.frame_id = frame.frame_id
-        self._prints[frame.frame_id] = _fingerprint(frame, pixel_weights)
+        self._prints[frame.frame_id] = fingerprint(frame, pixel_weights)
         if self.volume.device.is_cpu:
             self._settle(slot)
         if earlier is not None:
@@ -187,11 +144,11 @@ class LiveVolume:
         with a ``min_weight`` of 0.01 passes over these. Raises InputError where the frame is not in the volume, or is
         not the one that was added under its number, and where weights are capped.
         """
-        pose = self._checked_pose(frame)
+        pose = checked_pose(frame, self.camera, self._depth_dtype)
         self.finish()
         if frame.frame_id not in self._prints:
             raise InputError(f"frame {frame.frame_id} is not in the volume")
-        if self._prints[frame.frame_id] != _fingerprint(frame, pixel_weights):
+        if self._prints[frame.frame_id] != fingerprint(frame, pixel_weights):
             raise InputError(
                 f"frame {frame.frame_id}: its images or pose are not those that were added; nothing removed"
             )
@@ -228,27 +185,9 @@ class LiveVolume:
         pieces = self._pieces.pieces
         return {number: pieces.get(number) for number in stale if number in pieces or number in before}
 
-    def _checked_pose(self, frame: Frame) -> Matrix:
-        """Return a frame's pose, made exactly rigid; raises InputError for a frame that cannot be integrated."""
-        height, width = self.camera.height, self.camera.width
-        for name, image, dtype, shape in (
-            ("depth", frame.depth, self._depth_dtype, (height, width)),
-            ("colour", frame.color, np.dtype(np.uint8), (height, width, 3)),
-        ):
-            if not isinstance(image, np.ndarray) or image.dtype != dtype or image.shape != shape:
-                found = f"{image.dtype} {image.shape}" if isinstance(image, np.ndarray) else type(image).__name__
-                raise InputError(f"frame {frame.frame_id}: its {name} is {found}, expected {dtype} {shape}")
-        pose = rigid(np.asarray(frame.world_from_camera, dtype=np.float64), source=f"frame {frame.frame_id}")
-        return near_origin(pose, source=f"frame {frame.frame_id}")
-
-    def _upload(self, slot: _Slot, frame: Frame, pose: Matrix, weights: NDArray[np.float32] | None) -> FrameBatch:
+    def _upload(self, slot: LiveSlot, frame: Frame, pose: Matrix, weights: NDArray[np.float32] | None) -> FrameBatch:
         batch = slot.upload([frame.depth], [pose], [frame.color])
-        if weights is None:
-            return batch
-        if not isinstance(weights, np.ndarray) or weights.shape != frame.depth.shape or not (weights >= 0).all():
-            raise InputError(f"frame {frame.frame_id}: expected pixel_weights {frame.depth.shape} of 0 or more")
-        on_device = wp.array(weights[None].astype(np.float32), dtype=float, device=self.volume.device)
-        return replace(batch, pixel_weights=on_device)
+        return batch if weights is None else with_weights(batch, weights, frame)
 
     def _make_room(self) -> None:
         """Let the table grow before it is full."""
@@ -258,7 +197,7 @@ class LiveVolume:
             table.grow()
             self._reserve()
 
-    def _launch(self, slot: _Slot) -> None:
+    def _launch(self, slot: LiveSlot) -> None:
         """Start all that a frame does; on CUDA by its graph, captured after the kernels ran once."""
         device = self.volume.device
         assert slot.batch is not None, "a slot is launched with a frame in it"
@@ -275,23 +214,22 @@ class LiveVolume:
         if device.is_cuda:
             slot.done = wp.get_stream(device).record_event(slot.done)
 
-    def _find_and_integrate(self, slot: _Slot) -> None:
+    def _find_and_integrate(self, slot: LiveSlot) -> None:
         assert slot.batch is not None, "a slot is launched with a frame in it"
-        table = self.volume.table
-        lengths = {"truncation": self.volume.truncation, "voxel_size": self.volume.voxel_size}
-        tiles = survey_batch(slot.batch, truncation=self.volume.truncation)
-        matrices = frame_matrices(slot.batch, self.volume.voxel_size)
-        answers = launch_find_blocks(table, slot.batch, tiles, matrices, **lengths)
-        self._outcome.zero_()
-        wp.launch(
-            _sum_up,
-            dim=len(answers),
-            inputs=[answers, table.arrays],
-            outputs=[self._outcome],
-            device=self.volume.device,
-        )
+        volume = self.volume
+        tiles = survey_batch(slot.batch, truncation=volume.truncation)
+        answers = self._find_blocks(slot.batch, tiles)
+        note_outcome(answers, volume.table.arrays, self._outcome, device=volume.device)
         wp.copy(slot.outcome, self._outcome)
-        self._integrate(slot.batch, blocks=self.volume.reserved, tiles=tiles, hold_back=True)
+        self._integrate(slot.batch, blocks=volume.reserved, tiles=tiles, hold_back=True)
+
+    def _find_blocks(self, batch: FrameBatch, tiles: DepthTiles) -> wp.array:
+        """Enter a frame's blocks as far as there is room; returns what stood in the way."""
+        volume = self.volume
+        matrices = frame_matrices(batch, volume.voxel_size)
+        return launch_find_blocks(
+            volume.table, batch, tiles, matrices, truncation=volume.truncation, voxel_size=volume.voxel_size
+        )
 
     def _integrate(
         self,
@@ -312,9 +250,9 @@ class LiveVolume:
             blocks=blocks,
             problem=self._outcome if hold_back else None,
         )
-        wp.launch(_note_changes, dim=blocks, inputs=[masks], outputs=[self._changed], device=self.volume.device)
+        note_changes(masks, self._changed, blocks=blocks, device=self.volume.device)
 
-    def _settle(self, slot: _Slot) -> None:
+    def _settle(self, slot: LiveSlot) -> None:
         """See to it that a slot's frame is in every block that it asked for."""
         if slot.frame_id is None or slot.batch is None:
             return
@@ -341,15 +279,11 @@ class LiveVolume:
         table, volume = self.volume.table, self.volume
         wp.synchronize_device(volume.device)
         tiles = survey_batch(batch, truncation=volume.truncation)
-        matrices = frame_matrices(batch, volume.voxel_size)
         problem = TABLE_FULL
         try:
             while problem == TABLE_FULL:
                 table.grow()
-                answers = launch_find_blocks(
-                    table, batch, tiles, matrices, truncation=volume.truncation, voxel_size=volume.voxel_size
-                )
-                problem = int(answers.numpy().max())
+                problem = int(self._find_blocks(batch, tiles).numpy().max())
         finally:
             table.drop_unnumbered()
             self._reserve()
@@ -368,10 +302,3 @@ class LiveVolume:
 
 def _no_survey() -> SceneSurvey:
     raise InputError("voxel_size: a live volume cannot take it from frames that are still to come; give it in metres")
-
-
-def _fingerprint(frame: Frame, weights: NDArray[np.float32] | None) -> int:
-    """Return a number that tells a frame from another: of its pose and of every 16th pixel in both directions."""
-    parts = [np.asarray(frame.world_from_camera, dtype=np.float64), frame.depth[::16, ::16], frame.color[::16, ::16]]
-    parts += [] if weights is None else [weights[::16, ::16].astype(np.float32)]
-    return zlib.crc32(b"".join(np.ascontiguousarray(part).tobytes() for part in parts))

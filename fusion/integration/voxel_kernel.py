@@ -6,9 +6,8 @@ by side, and share a mask. On the CPU it is a block by rows of eight voxels alon
 a constant step. Both are the same C++, in loops over lanes that the CPU's compiler turns into vector instructions: that
 takes half the time of Warp's scalar code.
 
-The CPU waits for memory more than it computes. So a row first finds the pixels that it needs in all frames, asking for
-each at once; then it looks at their depths, and asks for the colours of those that are near the surface; then it adds
-these up. What it asked for arrives in the meantime.
+The CPU waits for memory more than it computes. So a row first finds its pixels in all frames and asks for them; then it
+looks at their depths, and asks for the colours of those near the surface; then it adds these up.
 """
 
 from functools import cache
@@ -198,8 +197,6 @@ _ADD_IN_CPP = """
     }
 """
 
-_IN_CPP = PACKING_IN_CPP + _BEGIN_IN_CPP + _PROJECT_IN_CPP + _MEASURE_IN_CPP + _COLOR_IN_CPP + _ADD_IN_CPP
-
 
 @wp.struct
 class Rules:
@@ -233,18 +230,16 @@ def frames_type(depth_type: type) -> Any:
 
 @cache
 def kernel(depth_type: type, *, by_voxel: bool, bilinear: bool, weighted: bool, drop_off: bool) -> Kernel:
-    """Return the kernel for the given options; its threads take a voxel each (for CUDA), or a block (for the CPU).
-
-    Masks are those of ``visible_blocks``.
-    """
+    """Return the kernel for the given options; its threads take a voxel each (for CUDA), or a block (for the CPU)."""
     constants = {"BILINEAR": bilinear, "WEIGHTED": weighted, "DROP_OFF": drop_off}
     declared = "".join(f"constexpr bool {name} = {str(value).lower()};\n" for name, value in constants.items())
     # On CUDA a voxel's frames stay in registers one by one; others wait for memory in the meantime.
     lanes, frames_at_once = (1, 1) if by_voxel else (BLOCK_SIDE, MAX_BATCH)
     declared += f"constexpr int LANES = {lanes}, FRAMES = {frames_at_once};\n"
+    steps = (PACKING_IN_CPP, _BEGIN_IN_CPP, _PROJECT_IN_CPP, _MEASURE_IN_CPP, _COLOR_IN_CPP, _ADD_IN_CPP)
     frames_struct = frames_type(depth_type)
 
-    @wp.func_native(declared + _IN_CPP)
+    @wp.func_native("".join((declared, *steps)))
     def integrate_lanes(
         frame_mask: wp.uint32,
         x: float,
