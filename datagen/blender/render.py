@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from datagen.blender.camera import FILTER_WIDTH_PX, read_pose
 from datagen.color import srgb8_from_linear
 from datagen.errors import InputError
-from datagen.errors import InputError
 from datagen.rigid import Matrix
 from datagen.scene_spec.render_settings import RenderSettings
 
