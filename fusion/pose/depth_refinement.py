@@ -29,7 +29,7 @@ from fusion.pose.query import Query, QueryCloud, query_cloud
 from fusion.pose.reference_frame import ReferenceFrame
 from fusion.pose.reference_shift import nearest_reference, reference_shift, without_shift
 from fusion.pose.refinement import Refinement, declined
-from fusion.pose.se3 import perturb
+from fusion.pose.starting_poses import shifted_onto_depth, starts_about
 from fusion.pose.uncertainty import uncertainty
 from fusion.pose.view_overlap import QueryView, agreement, overlap, query_view
 
@@ -46,7 +46,6 @@ _TUKEY_SIGMAS = 4.685
 _COARSE_POINTS, _MIDDLE_POINTS = 500, 2000
 _COARSE_ROUNDS, _COARSE_STEPS, _MIDDLE_STEPS, _FINE_STEPS = 4, 4, 6, 12
 _START_POINTS, _KEPT_STARTS = 300, 4
-_TURN_OF_STARTS_DEG = 35.0
 _CLEARLY = 1.03
 """By this factor a pose farther from the start has to explain the view better, lest symmetry turn the model round."""
 _EXPLAINED = 0.65
@@ -186,7 +185,7 @@ def _problem(model: PoseModel, query: Query, cloud: QueryCloud, start: Matrix) -
 
 def _from_one(problem: _Problem, start: Matrix) -> tuple[Descent, int]:
     """Descend from one start, coarse to fine; as it is, and shifted so that the model is where the depth is."""
-    poses = np.concatenate([start[None], _shifted_onto_depth(problem, start[None])])
+    poses = np.concatenate([start[None], shifted_onto_depth(problem.model, start[None], problem.cloud.points_camera)])
     poses, spent = _coarse(problem, poses, count=_COARSE_POINTS)
     best = _fine(problem, poses[np.argmax(_scores(problem, poses))][None])
     return best, spent + best.iterations
@@ -217,7 +216,9 @@ def _fine(problem: _Problem, poses: NDArray[np.float64]) -> Descent:
 
 def _from_many(problem: _Problem, start: Matrix) -> tuple[Descent, int]:
     """Descend from many starts with few points, from the best of these with more, and from the best of all."""
-    poses, spent = _coarse(problem, starts_about(problem, start), count=_START_POINTS)
+    poses, spent = _coarse(
+        problem, starts_about(problem.model, start, problem.cloud.points_camera), count=_START_POINTS
+    )
     for count in (_KEPT_STARTS, 1):
         order = np.argsort(-_scores(problem, poses), kind="stable")
         poses = poses[order[:count]]
@@ -231,35 +232,6 @@ def _from_many(problem: _Problem, start: Matrix) -> tuple[Descent, int]:
         poses, spent = found.poses, spent + found.iterations
     best = _fine(problem, poses)
     return best, spent + best.iterations
-
-
-def starts_about(problem: _Problem, start: Matrix) -> NDArray[np.float64]:
-    """Return the start and poses (n, 4, 4) about it, each as it is and shifted so that the model is where the depth is.
-
-    They are turned about the model's middle by 35°, about the twelve axes of an icosahedron.
-    """
-    golden = (1 + 5**0.5) / 2
-    axes = np.array([np.roll((0, a, b * golden), k) for k in range(3) for a in (-1, 1) for b in (-1, 1)], np.float64)
-    turns = np.radians(_TURN_OF_STARTS_DEG) * axes / np.linalg.norm(axes[0])
-    twists = np.zeros((len(turns) + 1, 6))
-    twists[1:, 3:] = turns
-    shifted = _shifted_onto_depth(problem, start[None])
-    ring = perturb(twists, shifted[0], pivot_world=problem.model.centre_world)
-    return np.concatenate([start[None], _shifted_onto_depth(problem, ring), ring[1:]])
-
-
-def _shifted_onto_depth(problem: _Problem, poses: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Shift poses (n, 4, 4) so that the middle of what they should see of the model is that of the query's points."""
-    model = problem.model
-    points = model.surface_points.numpy()[:1000] + model.origin_world
-    normals = model.surface_normals.numpy()[:1000]
-    middle_camera = np.median(problem.cloud.points_camera, axis=0)
-    result = poses.copy()
-    for pose in result:
-        facing = ((points - pose[:3, 3]) * normals).sum(axis=1) < 0
-        seen = points[facing] if facing.any() else points
-        pose[:3, 3] += np.median(seen, axis=0) - transform_points(pose, middle_camera)
-    return result
 
 
 def _scores(problem: _Problem, poses: NDArray[np.float64]) -> NDArray[np.float64]:

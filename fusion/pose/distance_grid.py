@@ -22,6 +22,11 @@ NODES = 96
 MARGIN_SHARE, LARGEST_MARGIN = 0.25, 0.3
 """Of the box around the model, as a share of its longest side, and in metres."""
 
+INSIDE_FROM, OUTSIDE_BELOW = 0.7, 0.1
+"""Windings of a surface around what is surely inside of it, and surely not."""
+
+_ASKED_OF_A_REGION = 64
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DistanceGrid:
@@ -58,7 +63,7 @@ def distance_grid(mesh: Mesh, *, device: Device, nodes: int = NODES) -> Distance
     foot_of[at], sign_of[at], outside[at] = feet - origin, signs, False
     nearest = ndimage.distance_transform_edt(outside, return_distances=False, return_indices=True)
     positions = spacing * np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1, dtype=np.float32)
-    signs_everywhere = _sides_of_regions(sign_of[tuple(nearest)], outside)
+    signs_everywhere = _mend_sides(mesh, sign_of[tuple(nearest)], outside, origin, spacing, device)
     distances = np.linalg.norm(positions - foot_of[tuple(nearest)], axis=-1) * signs_everywhere
     return DistanceGrid(
         distances=wp.array(distances.astype(np.float32), dtype=float, device=device),
@@ -122,11 +127,65 @@ def _closest(
     return feet.numpy() + centre, signs.numpy().astype(np.float64)
 
 
-def _sides_of_regions(signs: NDArray[np.float32], far: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Give each connected region of nodes ``far`` from the surface the side that most of its nodes have been given.
+@wp.kernel
+def _windings(
+    first: int,
+    mesh: wp.uint64,
+    points: wp.array(dtype=wp.vec3),
+    threshold: float,
+    inside: wp.array(dtype=int),
+) -> None:
+    index = wp.tid() + first
+    found = wp.mesh_query_point_sign_winding_number(mesh, points[index], 1.0e6, 2.0, threshold)
+    inside[index] = wp.where(found.sign < 0.0, 1, 0)
 
-    Sides were carried outward from the nearest node next to the surface: one wrong sign there is a wedge of them here.
+
+def _mend_sides(
+    mesh: Mesh,
+    sides: NDArray[np.float32],
+    far: NDArray[np.bool_],
+    origin: NDArray[np.float64],
+    spacing: float,
+    device: Device,
+) -> NDArray[np.float32]:
+    """Return the ``sides`` (nx, ny, nz), ±1, without the wedges that a wrong sign next to the surface carries outward.
+
+    Connected nodes of one side are judged together, by how often the surface winds around them (Jacobson and others
+    2013), which no hole in it changes much: as in a model whose bottom was never seen, where inside and outside are one
+    region. A surface seen from one side alone, as that of a room, winds around nothing, and is left as it is.
     """
-    regions, count = ndimage.label(far)
-    most = np.sign(ndimage.sum(signs, regions, np.arange(count + 1)))
-    return np.where(far, np.where(most == 0, 1, most)[regions], signs).astype(np.float32)
+    centre = mesh.vertices.mean(axis=0)
+    hierarchy = wp.Mesh(
+        points=wp.array((mesh.vertices - centre).astype(np.float32), dtype=wp.vec3, device=device),
+        indices=wp.array(mesh.triangles.ravel(), dtype=int, device=device),
+        support_winding_number=True,
+    )
+    mended = sides.copy()
+    for side, threshold in ((1.0, INSIDE_FROM), (-1.0, OUTSIDE_BELOW)):
+        regions, count = ndimage.label(far & (sides == side))
+        if not count:
+            continue
+        nodes = np.argwhere(regions)
+        numbers = regions[tuple(nodes.T)]
+        asked = _some_of_each(numbers)
+        points = wp.array((origin + spacing * nodes[asked] - centre).astype(np.float32), dtype=wp.vec3, device=device)
+        inside = wp.empty(len(asked), dtype=int, device=device)
+        launch_in_slabs(
+            _windings, dim=len(asked), inputs=[hierarchy.id, points, threshold], outputs=[inside], device=device
+        )
+        share = np.bincount(numbers[asked], inside.numpy(), count + 1) / np.bincount(
+            numbers[asked], minlength=count + 1
+        ).clip(1)
+        wrong = share > 0.5 if side > 0 else share < 0.5
+        wrong[0] = False
+        mended[wrong[regions]] = -side
+    return mended
+
+
+def _some_of_each(numbers: NDArray[np.integer]) -> NDArray[np.int64]:
+    """Return the indices of up to ``_ASKED_OF_A_REGION`` places (n,) of each number, spread over the list."""
+    order = np.argsort(numbers, kind="stable")
+    counts = np.bincount(numbers)
+    rank = np.arange(len(order)) - np.repeat(np.cumsum(counts) - counts, counts)
+    stride = np.maximum(counts // _ASKED_OF_A_REGION, 1)
+    return order[rank % stride[numbers[order]] == 0]

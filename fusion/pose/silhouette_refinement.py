@@ -21,12 +21,12 @@ from fusion.pose.refinement import Refinement, declined
 from fusion.pose.se3 import perturb
 from fusion.pose.silhouette_target import Level, outline_length, silhouette_from_depth, silhouette_levels
 from fusion.pose.soft_silhouette import soft_silhouette
+from fusion.pose.starting_poses import TURN_BY_OUTLINE_DEG, ring_of_turns
 from fusion.pose.uncertainty import uncertainty
 
 FEWEST_PIXELS = 50
 _LEAST_COVERAGE_SPREAD = 0.02
 """Coverage of a pixel is not known better than this: the mask is made of whole pixels."""
-_TURN_OF_STARTS_DEG = 30.0
 _KEPT_STARTS = 2
 _GOOD_IOU = 0.9
 _EDGE_NOISE_PX = 0.3
@@ -144,10 +144,7 @@ def _from_one(problem: _Problem, levels: list[Level], start: Matrix) -> tuple[fl
 
 def _from_many(problem: _Problem, levels: list[Level], start: Matrix) -> tuple[float, Matrix, Descent]:
     """Descend the coarse levels from many starts, and all levels from the best of them."""
-    golden = (1 + 5**0.5) / 2
-    axes = np.array([np.roll((0, a, b * golden), k) for k in range(3) for a in (-1, 1) for b in (-1, 1)], np.float64)
-    twists = np.zeros((len(axes) + 1, 6))
-    twists[1:, 3:] = np.radians(_TURN_OF_STARTS_DEG) * axes / np.linalg.norm(axes[0])
+    twists = ring_of_turns(TURN_BY_OUTLINE_DEG)
     shifted = _shifted_onto_mask(problem, levels[0], start)
     candidates = []
     for pose in perturb(twists, shifted, pivot_world=problem.pivot_world):

@@ -1,0 +1,61 @@
+"""Poses about a given one from which a view is refined, where that one alone may be too far off."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.rigid import Matrix, inverse, transform_points
+from fusion.pose.pose_model import PoseModel
+from fusion.pose.se3 import perturb
+
+TURN_WITH_DEPTH_DEG, TURN_BY_OUTLINE_DEG = 35.0, 30.0
+
+_POINTS, _CELLS_ACROSS = 2000, 16
+"""The model's points that tell which of it is seen, and directions into which it is divided for that."""
+
+
+def ring_of_turns(turn_deg: float) -> NDArray[np.float64]:
+    """Return the twists (13, 6) of no turn, and of turns by an angle about the twelve corners of an icosahedron."""
+    golden = (1 + 5**0.5) / 2
+    axes = np.array([np.roll((0, a, b * golden), k) for k in range(3) for a in (-1, 1) for b in (-1, 1)], np.float64)
+    twists = np.zeros((len(axes) + 1, 6))
+    twists[1:, 3:] = np.radians(turn_deg) * axes / np.linalg.norm(axes[0])
+    return twists
+
+
+def starts_about(model: PoseModel, start: Matrix, points_camera: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the start and poses (n, 4, 4) about it, each as it is and shifted so that the model is where the depth is.
+
+    They are turned about the model's middle; ``points_camera`` (n, 3) are the query's.
+    """
+    shifted = shifted_onto_depth(model, start[None], points_camera)
+    ring = perturb(ring_of_turns(TURN_WITH_DEPTH_DEG), shifted[0], pivot_world=model.centre_world)
+    return np.concatenate([start[None], shifted_onto_depth(model, ring, points_camera), ring[1:]])
+
+
+def shifted_onto_depth(
+    model: PoseModel, poses: NDArray[np.float64], points_camera: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Shift poses (n, 4, 4) so that the middle of what they should see of the model is that of the query's points."""
+    points = model.surface_points.numpy()[:_POINTS] + model.origin_world
+    normals = model.surface_normals.numpy()[:_POINTS]
+    middle_camera = np.median(points_camera, axis=0)
+    result = poses.copy()
+    for pose in result:
+        facing = ((points - pose[:3, 3]) * normals).sum(axis=1) < 0
+        seen = _in_front(transform_points(inverse(pose), points[facing]), model.diameter)
+        middle = np.median(seen, axis=0) if len(seen) else transform_points(inverse(pose), model.centre_world)
+        pose[:3, 3] += pose[:3, :3] @ (middle - middle_camera)
+    return result
+
+
+def _in_front(points_camera: NDArray[np.float64], diameter: float) -> NDArray[np.float64]:
+    """Return those of the points (n, 3), a surface's, that no others hide: the first in each direction, about."""
+    points = points_camera[points_camera[:, 2] > 0]
+    if not len(points):
+        return points
+    directions = points[:, :2] / points[:, 2:]
+    cells = np.floor(directions * np.median(points[:, 2]) * _CELLS_ACROSS / diameter).astype(int)
+    _cells, cell_of = np.unique(cells, axis=0, return_inverse=True)
+    nearest = np.full(cell_of.max() + 1, np.inf)
+    np.minimum.at(nearest, cell_of, points[:, 2])
+    return points[points[:, 2] < nearest[cell_of] + diameter / _CELLS_ACROSS]
