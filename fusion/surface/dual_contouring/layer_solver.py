@@ -6,11 +6,14 @@ from fusion.surface.dual_contouring.cell_solver import CORNERS_IN_CPP, SOLVE_IN_
 from fusion.surface.dual_contouring.cell_table import CellTables
 from fusion.surface.dual_contouring.dual_grid import DualGrid
 from fusion.surface.dual_contouring.lanes import LANES_IN_CPP
-from fusion.surface.dual_contouring.qef import QEF_IN_CPP
+from fusion.surface.dual_contouring.qef import INSET, QEF_IN_CPP
 from fusion.surface.dual_contouring.rows import ROWS_IN_CPP
 from fusion.volume.voxels import Voxels
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+
+FLAT = 0.97
+"""The mean squared cosine of a cell's normals to their mean from which on they face one way: 10° around it."""
 
 # Most cells have one loop. Their corners are gathered cell by cell; then all lanes go through all twelve edges, those
 # that are not crossed counting nothing, without a branch.
@@ -54,6 +57,36 @@ _GATHER_IN_CPP = """
         }
     };
 """
+
+_ONTO_FIELD_IN_CPP = (
+    f"constexpr float FLAT = {FLAT}f, LOW = {INSET}f, HIGH = 1.0f - {INSET}f;"
+    + """
+    // Where a cell's planes face one way the surface is smooth, and how the planes bulge over it is not its shape: one
+    // step along the gradient leads back to where the trilinear field vanishes.
+    auto onto_field = [&](const Planes &all, V size, V *place) {
+        const V none = 0.0f, *n = all.normal;
+        const V along = n[0] * (all.xx * n[0] + 2.0f * (all.xy * n[1] + all.xz * n[2]))
+                        + n[1] * (all.yy * n[1] + 2.0f * all.yz * n[2]) + n[2] * all.zz * n[2];
+        auto between = [](V a, V b, V t) { return a + t * (b - a); };
+        V x[4], y[4];
+        for (int i = 0; i < 4; ++i) x[i] = between(distance[2 * i], distance[2 * i + 1], place[0]);
+        for (int i = 0; i < 2; ++i) y[i] = between(x[2 * i], x[2 * i + 1], place[1]);
+        const V value = between(y[0], y[1], place[2]);
+        const V rise_y = between(x[1] - x[0], x[3] - x[2], place[2]), rise_z = y[1] - y[0];
+        const V low_x = between(distance[1] - distance[0], distance[3] - distance[2], place[1]);
+        const V high_x = between(distance[5] - distance[4], distance[7] - distance[6], place[1]);
+        const V rise_x = between(low_x, high_x, place[2]);
+        const V steep = rise_x * rise_x + rise_y * rise_y + rise_z * rise_z;
+        const auto moves = (along > FLAT * all.planes * size) & (steep > none);
+        const V step = moves ? value / (moves ? steep : (V)1.0f) : none;
+        const V rise[3] = {rise_x, rise_y, rise_z};
+        for (int i = 0; i < 3; ++i) {
+            const V moved = place[i] - step * rise[i];
+            place[i] = moved < LOW ? (V)LOW : moved > HIGH ? (V)HIGH : moved;
+        }
+    };
+"""
+)
 
 _SOLVE_LANES_IN_CPP = """
     int filled = 0, bits[LANES], numbers[LANES];
@@ -111,10 +144,16 @@ _SOLVE_LANES_IN_CPP = """
         const Equations equations = equations_of(all);
         solve(equations, place);
         for (int lane = 0; lane < filled; ++lane) {
+            float at[3];
+            for (int i = 0; i < 3; ++i) at[i] = lanes_of(place[i])[lane];
+            keep_within_cell(equations, lane, at);
+            for (int i = 0; i < 3; ++i) lanes_of(place[i])[lane] = at[i];
+        }
+        onto_field(all, size, place);
+        for (int lane = 0; lane < filled; ++lane) {
             float at[3], normal[3];
             const float length = sqrtf(lanes_of(size)[lane]), inverse = length > 0.0f ? 1.0f / length : 0.0f;
             for (int i = 0; i < 3; ++i) at[i] = lanes_of(place[i])[lane], normal[i] = inverse * lanes_of(n[i])[lane];
-            keep_within_cell(equations, lane, at);
             const float x = block_x + (bits[lane] & 7), y = block_y + (bits[lane] >> 3), z = block_z;
             // One vertex, but at the border of what was observed one for each arc of the loop.
             const int end = grid.vertex_starts.data[numbers[lane] + 1];
@@ -151,6 +190,7 @@ _SOLVE_LAYER_IN_CPP = (
     + "const auto &cells = grid.cells;"
     + ROWS_IN_CPP
     + _GATHER_IN_CPP
+    + _ONTO_FIELD_IN_CPP
     + _SOLVE_LANES_IN_CPP
     + """
     const wp::uint64 several = grid.several.data[8 * slot + z];
