@@ -69,19 +69,6 @@ def configure_render(scene: bpy.types.Scene, settings: RenderSettings, *, thread
     _configure_exr(render.image_settings)
 
 
-def _configure_denoiser(cycles: Any, *, guided: bool) -> None:
-    try:
-        cycles.denoiser = "OPENIMAGEDENOISE"
-    except TypeError as error:  # Debian's Blender has none
-        raise InputError(
-            f"Blender {bpy.app.version_string} was built without OpenImageDenoise; choose the preset draft, "
-            "which is not denoised, or a Blender from blender.org"
-        ) from error
-    cycles.denoising_quality = "FAST"
-    cycles.denoising_input_passes = "RGB_ALBEDO_NORMAL" if guided else "RGB"
-    cycles.denoising_prefilter = "FAST" if guided else "NONE"
-
-
 def render_frame(scene: bpy.types.Scene, frame: int, *, seed: int, scratch: Path) -> RenderedFrame:
     """Render one frame through a temporary EXR file in ``scratch``, best a folder in memory."""
     exr = scratch / "frame.exr"
