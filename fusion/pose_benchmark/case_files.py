@@ -18,8 +18,8 @@ class PoseErrors(_Record):
 
     ``fixed_rotation_deg`` is the rotation error as far as the shape fixes it: of a body of revolution, the tilt of its
     axis. ``translation_m`` is how far the object's middle is off in the camera's frame, in a room how far the camera
-    is. An error in the image is null where a point comes to lie behind the camera; ``vsd`` is there where it was asked
-    for.
+    is. An error in the image is null where a point comes to lie behind the camera; of a scene around the camera, errors
+    are of the points in the image. ``vsd`` is there where it was asked for.
     """
 
     rotation_deg: float

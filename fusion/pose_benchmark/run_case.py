@@ -2,9 +2,11 @@
 
 import numpy as np
 
+from datagen.camera import PinholeCamera
 from datagen.errors import InputError
-from datagen.rigid import Matrix, inverse
+from datagen.rigid import Matrix, inverse, transform_points
 from fusion.evaluation.pose_errors import (
+    ModelPoints,
     average_distance,
     average_nearest_distance,
     mspd,
@@ -64,7 +66,8 @@ def pose_errors(task: Task, world_from_camera: Matrix, *, with_vsd: bool = False
             rotation_deg=rotation_error_deg(world_from_camera, truth),
             translation_m=float(np.linalg.norm(world_from_camera[:3, 3] - truth[:3, 3])),
         )
-    found, there, points, camera = inverse(world_from_camera), inverse(truth), subject.points, task.view.camera
+    found, there, camera = inverse(world_from_camera), inverse(truth), task.view.camera
+    points = points_in_view(subject.points, there, camera)
     return PoseErrors(
         rotation_deg=rotation_error_deg(found, there),
         translation_m=translation_error(found, there, point_model=subject.centre_world),
@@ -76,6 +79,23 @@ def pose_errors(task: Task, world_from_camera: Matrix, *, with_vsd: bool = False
         mspd_px=_or_none(mspd(found, there, points, camera)),
         vsd=_vsd(task, world_from_camera) if with_vsd else None,
     )
+
+
+def points_in_view(model: ModelPoints, camera_from_model: Matrix, camera: PinholeCamera) -> ModelPoints:
+    """Return the points that errors are of: all of an object, and of a scene around the camera those in the image.
+
+    A point behind the camera has no place in the image, and what is out of sight is nobody's to locate.
+    """
+    points_camera = transform_points(camera_from_model, model.points)
+    before = points_camera[:, 2] > 0
+    if before.all():
+        return model
+    u, v = np.full((2, len(points_camera)), np.inf)
+    u[before], v[before] = camera.project(points_camera[before]).T
+    seen = (np.abs(u - (camera.width - 1) / 2) < camera.width / 2) & (
+        np.abs(v - (camera.height - 1) / 2) < camera.height / 2
+    )
+    return ModelPoints(points=model.points[seen], symmetries=model.symmetries)
 
 
 def _fixed_rotation_deg(subject: Subject, estimate: Matrix, truth: Matrix) -> float:
