@@ -133,7 +133,8 @@ class Job:
         self._check_cancelled()
         self._count += 1
         name = f"{self._count}-{command.arguments[0]}"
-        process = self._process = Process(command.line(), folder=self.folder, name=name, environment=environment())
+        surroundings = environment(self.folder / "extensions")
+        process = self._process = Process(command.line(), folder=self.folder, name=name, environment=surroundings)
         try:
             while (exit_code := process.poll()) is None:
                 if self.state is State.CANCELLING:
