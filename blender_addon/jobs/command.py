@@ -37,9 +37,9 @@ class Command:
 def environment(own_extensions: Path) -> dict[str, str]:
     """Return the environment in which commands find their packages and the Blender that renders.
 
-    ``own_extensions`` is an empty folder: a Blender that renders has no extension enabled, and one that is reset in that
-    state removes the wheels of all of the user's extensions, ours as well. Raises ReconstructionError where a package
-    is not installed.
+    ``own_extensions`` is an empty folder: a Blender that renders has no extension enabled, and one that is reset in
+    that state removes the wheels of all of the user's extensions, ours as well. Raises ReconstructionError where a
+    package is not installed.
     """
     folders = [str(_folder_of(package)) for package in NEEDED]
     found = {**os.environ, "PYTHONPATH": os.pathsep.join(dict.fromkeys(folders)), "PYTHONUNBUFFERED": "1"}
