@@ -164,10 +164,11 @@ def _queries(options: argparse.Namespace) -> QuerySource:
 def _print_poses(poses: list[LocatedPose]) -> None:
     refined = any(pose.refined is not None for pose in poses)
     known = any(pose.rotation_error_deg is not None for pose in poses)
-    columns = ["query", "verdict", "nearest", "score (mm²)"]
+    columns = ["query", "verdict", "nearest"]
+    columns += [] if refined else ["score (mm²)"]
     columns += ["nearest (°)", "nearest (m)"] if known else []
     if refined:
-        columns += ["quality", "x y z (m)", "known to (mm)"] + (["refined (°)", "refined (mm)"] if known else [])
+        columns += ["quality", "object x y z (m)", "± (mm)"] + (["refined (°)", "refined (mm)"] if known else [])
     table = Table(*columns, box=None)
     for pose in poses:
         table.add_row(*_row(pose, refined=refined, known=known))
@@ -175,9 +176,10 @@ def _print_poses(poses: list[LocatedPose]) -> None:
 
 
 def _row(pose: LocatedPose, *, refined: bool, known: bool) -> list[str]:
-    score = _number(None if pose.score is None else 1e6 * pose.score, 3)
     row = [str(pose.query), pose.verdict, "–" if pose.nearest is None else str(pose.nearest)]
-    row.append(f"{score}{' (ambiguous)' if pose.ambiguous else ''}")
+    if not refined:
+        score = _number(None if pose.score is None else 1e6 * pose.score, 3)
+        row.append(f"{score}{' (ambiguous)' if pose.ambiguous else ''}")
     if known:
         row += [_number(pose.rotation_error_deg, 2), _number(pose.translation_error_m, 4)]
     if not refined:
@@ -187,7 +189,7 @@ def _row(pose: LocatedPose, *, refined: bool, known: bool) -> list[str]:
         return [*row, *["–"] * (5 if known else 3)]
     place = "–"
     if found.camera_from_object is not None:
-        place = " ".join(f"{line[3]:.4f}" for line in found.camera_from_object[:3])
+        place = " ".join(f"{line[3]:.3f}" for line in found.camera_from_object[:3])
     spread = None if found.uncertainty is None else found.uncertainty.deviations_mm[-1]
     row += [_number(found.quality, 2), place, _number(spread, 2)]
     if known:

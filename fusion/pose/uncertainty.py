@@ -114,8 +114,8 @@ def describe_direction(direction: NDArray[np.float64]) -> str:
     Every motion is a screw (Chasles): a shift across ω only moves the axis aside, and where that stays near the model,
     and little is left along it, the motion is a turn.
     """
-    shift, turn = np.linalg.norm(direction[:3]), np.linalg.norm(direction[3:])
-    along = abs(direction[:3] @ direction[3:]) / max(turn, 1e-12)
+    shift, turn = float(np.linalg.norm(direction[:3])), float(np.linalg.norm(direction[3:]))
+    along = abs(float(direction[:3] @ direction[3:])) / max(turn, 1e-12)
     if turn * _NEAR_AXIS > shift and turn > 3 * along:
         return f"turning about {_axis(direction[3:])}"
     if shift > 3 * turn:

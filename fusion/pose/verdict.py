@@ -80,7 +80,9 @@ def _explained(evidence: Evidence) -> str:
     """Say in words what the model explains of the view, and what not."""
     parts = []
     if evidence.covered is not None:
-        parts.append(f"the model covers {evidence.covered:.0%} of the mask, and {evidence.filled or 0:.0%} of it is in")
+        parts.append(
+            f"the model covers {evidence.covered:.0%} of the mask, and {evidence.filled or 0:.0%} of the model is in it"
+        )
     if evidence.agreeing is not None:
         where = "the object's" if evidence.covered is not None else "all (no mask tells the object's)"
         parts.append(f"depth is the model's at {evidence.agreeing:.0%} of {where} pixels")

@@ -6,9 +6,13 @@ from boxes import POSES, boxes, see_boxes
 from PIL import Image
 from three_balls import CAMERA, sphere_points
 
+from datagen.camera import PinholeCamera
 from datagen.errors import InputError
-from datagen.rigid import inverse, look_at, transform_points
+from datagen.rigid import inverse, look_at, rotation_angle_deg, transform_points
 from fusion.pose.cad_model import CadModel, Renderer, check_size, read_cad_model, views_around
+from fusion.pose.query import Query
+from fusion.pose.se3 import perturb
+from fusion.pose.stages import refine
 from fusion.pose.target import open_cad_model
 from fusion.surface.mesh import Mesh
 
@@ -95,3 +99,29 @@ def test_a_plain_mesh_is_shaded_by_its_slope(device):
     color, depth = Renderer.of(cad, boxes(), device=device).view(CAMERA, POSES[0])
     np.testing.assert_allclose(depth, see_boxes(POSES[0], device), atol=1e-6)
     assert len(np.unique(color[depth > 0][:, 0])) > 3
+
+
+@pytest.mark.parametrize("features", ["sift", "orb"])
+def test_texture_tells_sides_apart_that_are_alike_in_shape(device, tmp_path, features):
+    shape = trimesh.creation.box((0.3, 0.3, 0.3))
+    for _ in range(6):
+        shape = shape.subdivide()
+    rng = np.random.default_rng(1)
+    shape.visual.vertex_colors = rng.integers(0, 255, (len(shape.vertices), 3)).astype(np.uint8)
+    shape.export(tmp_path / "cube.ply")
+    camera = PinholeCamera(width=320, height=240, fx=340.0, fy=340.0, cx=160.0, cy=119.0)
+    target = open_cad_model(tmp_path / "cube.ply", scale=1.0, camera=camera, typical_depth=0.8, device=device)
+    cad = read_cad_model(tmp_path / "cube.ply")
+    truth = look_at((0.45, -0.5, 0.4), (0, 0, 0))
+    color, depth = Renderer.of(cad, cad.mesh, device=device).view(camera, truth)
+    noisy = np.clip(0.9 * color + rng.normal(0, 3, color.shape) + 8, 0, 255).astype(np.uint8)
+    query = Query(camera=camera, color=noisy, depth=depth, mask=depth > 0)
+    # By shape alone a quarter turn away: depth would stay there.
+    wrong = perturb(np.array([0, 0, 0, 0.03, 0.02, np.pi / 2]), truth, pivot_world=np.zeros(3))
+    references = target.references(wrong, np.arange(3))
+    epipolar, found = refine(
+        target.model, query, references, wrong, ("nearest", "epipolar", "depth"), features=features
+    )
+    assert not epipolar.declined, epipolar.reason
+    assert rotation_angle_deg(inverse(found.world_from_camera) @ truth) < 0.3
+    assert np.linalg.norm(found.world_from_camera[:3, 3] - truth[:3, 3]) < 0.003
