@@ -12,7 +12,12 @@ from datagen.dataset_check.views import inverse_depth
 EDGE = 0.08
 """Relative step of inverse depth between neighbours that makes an edge: one surface before another."""
 
+CREASE = 0.02
+"""Relative change of inverse depth's rise over ``CREASES_SIDES``-ths of the image's length that makes a crease."""
+
+CREASES_SIDES = 64
 LARGEST_OFFSET_PX = 12
+LEAST_FRAMES = 2
 EDGES_PER_FRAME = 600
 LEAST_EDGES = 30
 MOST_LOST_PX = 3
@@ -70,7 +75,7 @@ class ColorAlignment:
 class _Edges:
     """Edges of one frame's depth between neighbours along ``axis``, and colour's differences between the same.
 
-    ``outwards`` is the sense in which the nearer surface ends.
+    ``outwards`` is the sense in which the nearer surface ends, 0 at a crease.
     """
 
     axis: int
@@ -95,12 +100,15 @@ def measure_color_alignment(
     at the edges move left and right, or upper and lower, edges of a surface against each other; an offset moves them
     together.
     """
-    frames = [_frame_edges(color, depth, rng) for color, depth in images]
-    frames = [edges for edges in frames if sum(each.rows.size for each in edges) >= LEAST_EDGES]
-    if len(frames) < 2:
-        return None
-    alignment = _best_offset(frames, zoom=1.0)
-    if not alignment.is_clear:
+    images = list(images)
+    frames = _with_edges([_frame_edges(color, depth, rng) for color, depth in images])
+    alignment = _best_offset(frames, zoom=1.0) if len(frames) >= LEAST_FRAMES else None
+    if alignment is None or not alignment.is_clear:
+        creased = _with_edges([_frame_creases(color, depth, rng) for color, depth in images])
+        bent = _best_offset(creased, zoom=1.0, most_lost=0) if len(creased) >= LEAST_FRAMES else None
+        if bent is not None and bent.is_clear:
+            return bent
+    if alignment is not None and not alignment.is_clear:
         some = frames[:: -(-len(frames) // ZOOMED_FRAMES)]
         zoomed = max((_best_offset(some, zoom=zoom, most_lost=0) for zoom in ZOOMS), key=lambda each: each.prominence)
         alignment = zoomed if zoomed.is_clear else alignment
@@ -141,23 +149,50 @@ def _combined(sums: NDArray[np.float64], counts: NDArray[np.int64]) -> NDArray[n
     return np.mean(axes, axis=0) if axes else np.zeros_like(scores[0])
 
 
+def _with_edges(frames: list[list[_Edges]]) -> list[list[_Edges]]:
+    return [edges for edges in frames if sum(each.rows.size for each in edges) >= LEAST_EDGES]
+
+
 def _frame_edges(color: NDArray[np.uint8], depth: NDArray[np.float32], rng: np.random.Generator) -> list[_Edges]:
-    nearness, image = inverse_depth(depth), color.astype(np.float32)
-    gap, size = max(3, int(WIDEST_SHADOW * depth.shape[1])), 2 * largest_offset(depth.shape[1]) + 1
+    """Return where one surface ends before another, in rows and columns, of either sense."""
+    nearness, gap = inverse_depth(depth), max(3, int(WIDEST_SHADOW * depth.shape[1]))
     found = []
+    for axis, across in enumerate(_color_differences(color)):
+        falling = _edges_behind(nearness, axis, gap)
+        rising = np.flip(_edges_behind(np.flip(nearness, axis), axis, gap), axis)
+        found += [_drawn(axis, sense, edge, across, rng) for edge, sense in ((falling, 1), (rising, -1))]
+    return found
+
+
+def _frame_creases(color: NDArray[np.uint8], depth: NDArray[np.float32], rng: np.random.Generator) -> list[_Edges]:
+    """Return where a surface bends, towards the camera and away from it: a room's corners may be all that it has."""
+    nearness, found = inverse_depth(depth), []
+    for axis, across in enumerate(_color_differences(color)):
+        found += [_drawn(axis, 0, crease, across, rng) for crease in _creases(nearness, axis)]
+    return found
+
+
+def _color_differences(color: NDArray[np.uint8]) -> list[NDArray[np.float32]]:
+    """Return saturating differences between neighbours down the rows (H − 1, W) and along them (H, W − 1)."""
+    image, size = color.astype(np.float32), 2 * largest_offset(color.shape[1]) + 1
+    differences = []
     for axis in (0, 1):
         across = np.abs(np.diff(image, axis=axis)).max(axis=2)
         across = across / (across + FLAT + 2 * float(across.mean()))
-        across -= cv2.blur(across, (size, size))  # where much is going on, any offset finds something
-        falling = _edges_behind(nearness, axis, gap)
-        rising = np.flip(_edges_behind(np.flip(nearness, axis), axis, gap), axis)
-        for edge, outwards in ((falling, 1), (rising, -1)):
-            rows, columns = np.nonzero(edge)
-            if rows.size > EDGES_PER_FRAME:
-                chosen = rng.choice(rows.size, EDGES_PER_FRAME, replace=False)
-                rows, columns = rows[chosen], columns[chosen]
-            found.append(_Edges(axis, outwards, rows, columns, across))
-    return found
+        differences.append(
+            across - cv2.blur(across, (size, size))
+        )  # where much is going on, any offset finds something
+    return differences
+
+
+def _drawn(
+    axis: int, outwards: int, edge: NDArray[np.bool_], across: NDArray[np.float32], rng: np.random.Generator
+) -> _Edges:
+    rows, columns = np.nonzero(edge)
+    if rows.size > EDGES_PER_FRAME:
+        chosen = rng.choice(rows.size, EDGES_PER_FRAME, replace=False)
+        rows, columns = rows[chosen], columns[chosen]
+    return _Edges(axis, outwards, rows, columns, across)
 
 
 def _scores(each: _Edges, zoom: float, most_lost: int) -> NDArray[np.float64]:
@@ -197,6 +232,27 @@ def _edges_behind(nearness: NDArray[np.float32], axis: int, gap: int) -> NDArray
     farther = np.maximum(np.maximum(behind[..., 3:-2], pixels[..., 4:-1]), pixels[..., 5:]) < (1 - EDGE) * own
     edge[..., 2:-2] = (own > 0) & lasts & farther
     return np.moveaxis(edge, -1, axis)
+
+
+def _creases(nearness: NDArray[np.float32], axis: int) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return for each two neighbours along ``axis`` whether a surface bends between them, away or towards the camera.
+
+    On a plane inverse depth is linear in the pixel: slopes to either side are compared, and where they differ most
+    within their length is the crease.
+    """
+    pixels = np.moveaxis(nearness, axis, -1)
+    length = pixels.shape[-1]
+    side = max(4, length // CREASES_SIDES)
+    bend = np.zeros((*pixels.shape[:-1], length - 1), np.float32)
+    if length > 2 * side + 1:
+        left, right = pixels[..., side : -side - 1], pixels[..., side + 1 : -side]
+        rise = left - pixels[..., : -2 * side - 1], pixels[..., 2 * side + 1 :] - right
+        valid = np.lib.stride_tricks.sliding_window_view(pixels > 0, 2 * side + 2, axis=-1).all(axis=-1)
+        joined = np.abs(right - left) < 0.5 * EDGE * left
+        bend[..., side:-side] = np.where(valid & joined, (rise[1] - rise[0]) / np.maximum(left, 1e-9), 0)
+    strongest = cv2.dilate(np.abs(bend), np.ones((1, 2 * side + 1), np.uint8))
+    crease = (np.abs(bend) >= CREASE) & (np.abs(bend) == strongest)
+    return np.moveaxis(crease & (bend > 0), -1, axis), np.moveaxis(crease & (bend < 0), -1, axis)
 
 
 def _peak(profile: NDArray[np.float64], at: int) -> float:

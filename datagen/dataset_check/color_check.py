@@ -41,14 +41,20 @@ def check_color(
         except InputError:  # damaged since it was first read; the file check reports what it saw then
             continue
     alignment = measure_color_alignment(images, rng)
-    if alignment is None or not alignment.is_clear:
+    if alignment is None or not _tells(alignment):
         consistency = _photo_consistency(dataset, usable, rng) if geometry_holds else None
         if consistency is None or not consistency.is_clear:
             return [_cannot_tell(alignment)]
         return [_inconsistent(consistency)] if consistency.length_px >= LEAST_OFFSET_PX else []
-    if alignment.zoom == 1 and (alignment.length_px < LEAST_OFFSET_PX or alignment.significance < LEAST_SIGNIFICANCE):
+    if alignment.zoom == 1 and alignment.length_px < LEAST_OFFSET_PX:
         return []
     return [_offset(alignment, dataset)]
+
+
+def _tells(alignment: ColorAlignment) -> bool:
+    """Whether the offset is clear, and where it is one, no chance of a few frames."""
+    is_none = alignment.zoom == 1 and alignment.length_px < LEAST_OFFSET_PX
+    return alignment.is_clear and (is_none or alignment.zoom != 1 or alignment.significance >= LEAST_SIGNIFICANCE)
 
 
 def _photo_consistency(dataset: Dataset, usable: list[FrameFacts], rng: np.random.Generator) -> PhotoConsistency | None:

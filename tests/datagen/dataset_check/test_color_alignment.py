@@ -1,6 +1,7 @@
 import cv2
 import numpy as np
 import pytest
+from ray_cast_recordings import record
 
 from datagen.dataset_check.color_alignment import measure_color_alignment
 
@@ -75,3 +76,14 @@ def test_colour_that_shows_nothing_of_depth_tells_nothing():
 def test_depth_without_edges_tells_nothing():
     flat = [(color, np.full_like(depth, 2)) for color, depth in _frames()]
     assert measure_color_alignment(flat, np.random.default_rng(0)) is None
+
+
+@pytest.mark.parametrize("offset", [(0, 0), (-1, -5), (6, 3)])
+def test_the_corners_of_an_empty_room_tell_the_offset(offset):
+    room = record(101, frames=8)  # plain walls and a floor: nothing stands before anything
+    images = [
+        (np.roll(color, offset, axis=(1, 0)), depth) for color, depth in zip(room.colors, room.depths, strict=True)
+    ]
+    alignment = measure_color_alignment(images, np.random.default_rng(0))
+    assert alignment.is_clear
+    np.testing.assert_allclose(alignment.offset_px, offset, atol=0.3)

@@ -131,3 +131,13 @@ def test_a_camera_that_stands_still_cannot_tell():
     faults, report = _faults(still)
     assert faults == []
     assert any(finding.kind == "cannot-tell" for finding in report.findings)
+
+
+@pytest.mark.parametrize("seed", [41, 101, 110])
+def test_colour_beside_depth_is_named_where_depth_has_few_edges(seed):
+    clean = record(seed)
+    corrupted, size = CORRUPTIONS["color-offset"](clean, np.random.default_rng([seed, 11]))
+    for recording, kinds in ((clean, []), (corrupted, ["color-offset"])):
+        faults, report = _faults(recording)
+        assert [fault.kind for fault in faults] == kinds, size
+        assert not [finding for finding in report.findings if "color-offset" in finding.evidence.get("kinds", ())]
