@@ -69,6 +69,7 @@ def _coverage(
     approaches: wp.array(dtype=NearestApproach),
     nearest: wp.array(dtype=int),
     within_px: wp.array(dtype=float),
+    shares: wp.array(dtype=float),
     twists: wp.array(dtype=wp.spatial_vector),
     pivot: wp.vec3,
     softness_px: float,
@@ -84,7 +85,7 @@ def _coverage(
         before = distance_at(approach.before, moved(approach.before.point, twists[index], pivot))
         after = distance_at(approach.after, moved(approach.after.point, twists[index], pivot))
         distance = approach.share * before + (1.0 - approach.share) * after + approach.offset
-        edge = approach.pixels_per_metre * distance - within_px[index]
+        edge = shares[index] * approach.pixels_per_metre * distance - within_px[index]
         # Φ(−s/σ) by the error function.
         coverage[index] = 0.5 * (1.0 - wp.erf(edge / (1.41421356 * softness_px)))
         edge_px[index] = edge

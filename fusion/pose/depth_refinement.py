@@ -158,8 +158,8 @@ def _refined(
         return declined("depth", start, reason, used=cloud.count)
     problem = _problem(model, query, cloud, start)
     if options.starts == "here":
-        best = _fine(problem, start[None])
-        return _result(problem, best, start, best.iterations)
+        here = _fine(problem, start[None])
+        return _result(problem, here, start, here.iterations)
     best, spent = (None, 0) if options.starts == "many" else _from_one(problem, start)
     if best is None or (options.starts == "auto" and not _explains(problem, best)):
         found, more = _from_many(problem, start)

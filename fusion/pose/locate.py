@@ -157,7 +157,7 @@ def _open(
         return open_cad_model(target, scale=scale, camera=source.camera, typical_depth=typical, device=device)
     if options.model_scale is not None:
         raise InputError(f"--model-scale: {target} is a reconstruction, which is in metres; it is for CAD models")
-    return open_reconstruction(target, device=device, with_frames="epipolar" in stages)
+    return open_reconstruction(target, device=device, frames_for=stages)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -241,7 +241,8 @@ class _Locator:
         )
 
     def _refined(self, query: Query, nearest: _Nearest, truth: Matrix | None) -> RefinedPose:
-        references = self.target.references(nearest.estimate, nearest.indices) if "epipolar" in self.stages else []
+        wanted = "epipolar" in self.stages or "depth" in self.stages
+        references = self.target.references(nearest.estimate, nearest.indices) if wanted else []
         results = refine(self.target.model, query, references, nearest.estimate, self.stages, features=self.features)
         return refined_record(results, assess(self.target.model, query, results), truth)
 

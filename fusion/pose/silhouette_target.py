@@ -74,9 +74,13 @@ def blurred_mask(mask: NDArray[np.bool_], sigma_px: float, step: int) -> NDArray
     """
     image, rest, left = mask.astype(np.float32), sigma_px, step
     while left % 2 == 0 and rest > 2 * _SHARPEST_PX:
-        image = cv2.GaussianBlur(image, (0, 0), _SHARPEST_PX, borderType=cv2.BORDER_REPLICATE)[::2, ::2]
+        image = _blurred(image, _SHARPEST_PX)[::2, ::2]
         rest, left = np.sqrt(rest**2 - _SHARPEST_PX**2) / 2, left // 2
-    return cv2.GaussianBlur(image, (0, 0), rest, borderType=cv2.BORDER_REPLICATE)[::left, ::left]
+    return _blurred(image, rest)[::left, ::left]
+
+
+def _blurred(image: NDArray[np.float32], sigma_px: float) -> NDArray[np.float32]:
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma_px, borderType=cv2.BORDER_REPLICATE), np.float32)
 
 
 def _near_edge(mask: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
@@ -90,7 +94,7 @@ def outline_length(mask: NDArray[np.bool_]) -> int:
     """Count the mask's pixels (height, width) that have a neighbour outside of it, within the image."""
     cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
     binary = mask.astype(np.uint8)
-    inner = cv2.erode(binary, cross, borderType=cv2.BORDER_CONSTANT, borderValue=1)
+    inner = np.asarray(cv2.erode(binary, cross), np.uint8)  # what is beyond the image erodes nothing
     return int((binary & ~inner).sum())
 
 

@@ -67,14 +67,14 @@ def soft_silhouette(
         model, camera, pixels, world_from_camera, fine_within_px=BESIDE_PX
     )
     # Farther within than three deviations coverage is 1.
-    nearest, within_px = _pixels_beside(np.asarray(pixels), edges_px, slopes, int(np.ceil(3 * softness_px)) + 1)
+    nearest, within_px, shares = _pixels_beside(np.asarray(pixels), edges_px, slopes, int(np.ceil(3 * softness_px)) + 1)
     twists = wp.zeros(count, dtype=wp.spatial_vector, device=device, requires_grad=with_jacobian)
     coverage = wp.empty(count, dtype=float, device=device, requires_grad=with_jacobian)
     edge = wp.empty(count, dtype=float, device=device)
     pivot = wp.vec3(*(pivot_world - model.origin_world).tolist())
     inputs: list[Any] = [
         approaches,
-        *(nearest, within_px, twists, pivot, softness_px),
+        *(nearest, within_px, shares, twists, pivot, softness_px),
     ]
     jacobian = np.empty((0, 6))
     # Each pixel has six parameters to itself: one pass back through the tape gives all rows of the Jacobian.
@@ -99,16 +99,19 @@ def _tell_from_beside(
     reach: int,
     nearest: wp.array(dtype=int),
     within_px: wp.array(dtype=float),
+    shares: wp.array(dtype=float),
 ) -> None:
     index = wp.tid() + first
     nearest[index] = index
     within_px[index] = 0.0
+    shares[index] = 1.0
     own = edges_px[index]
     if own >= float(reach) or (own >= 0.0 and own < _BESIDE_PX):
         return
     if own < 0.0:
         within_px[index] = wp.inf
     place = places[index]
+    side = wp.where(own < 0.0, -1.0, 1.0)
     least = float(reach)
     for row in range(wp.max(place[0] - reach, 0), wp.min(place[0] + reach + 1, held.shape[0])):
         for column in range(wp.max(place[1] - reach, 0), wp.min(place[1] + reach + 1, held.shape[1])):
@@ -123,18 +126,20 @@ def _tell_from_beside(
                 if far < least:
                     least = far
                     nearest[index] = other
-                    within_px[index] = edges_px[other] - wp.where(own < 0.0, -far, far)
+                    # Beyond a piece's end the distance grows by a share of what the piece moves by.
+                    shares[index] = wp.max(side * across / wp.max(far, 1.0e-3), 0.0)
+                    within_px[index] = shares[index] * edges_px[other] - side * far
 
 
 def _pixels_beside(
     pixels: NDArray[np.floating], edges_px: wp.array, slopes: wp.array, reach: int
-) -> tuple[wp.array, wp.array]:
+) -> tuple[wp.array, wp.array, wp.array]:
     """Tell which pixel beside the silhouette tells of each pixel, and how much farther within this one is.
 
     ``pixels`` (n, 2) are whole, ``edges_px`` (n,) their distances from the edge, right where they are small and
     positive, ``slopes`` (n,) vec2 how these grow: so each such pixel knows a piece of the edge, square to its slope.
-    The nearest piece tells. Returns the indices (n,) and how many pixels farther within (n,), infinite within where no
-    piece is in ``reach``.
+    The nearest piece tells. Returns the indices (n,), how many pixels farther within (n,), infinite within where no
+    piece is in ``reach``, and the share (n,) of the other's distance that this is to be taken from.
     """
     device = edges_px.device
     places = np.rint(pixels[:, ::-1]).astype(np.int32)
@@ -143,6 +148,7 @@ def _pixels_beside(
     held[places[:, 0], places[:, 1]] = np.arange(len(places))
     nearest = wp.empty(len(places), dtype=int, device=device)
     within_px = wp.empty(len(places), dtype=float, device=device)
+    shares = wp.empty(len(places), dtype=float, device=device)
     launch_in_slabs(
         _tell_from_beside,
         dim=len(places),
@@ -151,8 +157,8 @@ def _pixels_beside(
             wp.array(held, dtype=int, device=device),
             *(edges_px, slopes, reach),
         ],
-        outputs=[nearest, within_px],
+        outputs=[nearest, within_px, shares],
         device=device,
         least_slab=4096,
     )
-    return nearest, within_px
+    return nearest, within_px, shares

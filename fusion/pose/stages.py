@@ -6,9 +6,10 @@ from typing import Literal, get_args
 from datagen.errors import InputError
 from datagen.rigid import Matrix
 from fusion.pose.depth_refinement import refine_with_depth
-from fusion.pose.epipolar import EpipolarOptions, Features, ReferenceFrame, rectify
+from fusion.pose.epipolar import EpipolarOptions, Features, rectify
 from fusion.pose.pose_model import PoseModel
 from fusion.pose.query import Query
+from fusion.pose.reference_frame import ReferenceFrame
 from fusion.pose.refinement import Refinement, Stage
 from fusion.pose.silhouette_refinement import refine_with_silhouette
 
@@ -51,7 +52,7 @@ def refine(
     run: dict[Stage, Callable[[Matrix], Refinement]] = {
         "epipolar": lambda pose: rectify(model, query, references, pose, options=EpipolarOptions(features=features)),
         "silhouette": lambda pose: refine_with_silhouette(model, query, pose),
-        "depth": lambda pose: refine_with_depth(model, query, pose),
+        "depth": lambda pose: refine_with_depth(model, query, pose, references=references),
     }
     results: list[Refinement] = []
     pose = start

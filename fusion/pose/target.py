@@ -1,6 +1,6 @@
 """What views are located in: a reconstruction on disk, or a CAD model; and the views of it that are compared first."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,9 +21,10 @@ from fusion.pose.cad_model import (
     read_cad_model,
     views_around,
 )
-from fusion.pose.epipolar import ReferenceFrame
 from fusion.pose.pose_model import PoseModel, prepare_model
+from fusion.pose.reference_frame import ReferenceFrame
 from fusion.pose.se3 import perturb
+from fusion.pose.stages import StageName
 from fusion.reconstruction_files import RECORD_FILE, VOLUME_FILE, ReconstructionRecord, read_record
 from fusion.surface.marching_cubes import marching_cubes
 from fusion.volume.volume_file import load_volume
@@ -63,16 +64,19 @@ def is_model_file(path: Path) -> bool:
     return not path.is_dir() and (path.is_file() or path.suffix.lower() in MESH_SUFFIXES)
 
 
-def open_reconstruction(folder: Path, *, device: Device, with_frames: bool) -> Target:
-    """Open a reconstruction; its fused frames are read only ``with_frames``, for the epipolar stage.
+def open_reconstruction(folder: Path, *, device: Device, frames_for: Sequence[StageName]) -> Target:
+    """Open a reconstruction, and its fused frames for the stages that ask for them.
 
-    Raises InputError for files that cannot be used.
+    The epipolar stage cannot do without; the depth stage takes them where they still are. Raises InputError for files
+    that cannot be used.
     """
     record = read_record(folder)
     views = [
         rigid(frame.world_from_camera, source=f"{folder / RECORD_FILE}: trajectory: frame {frame.frame}")
         for frame in record.trajectory
     ]
+    there = (folder / record.dataset).is_dir()
+    with_frames = "epipolar" in frames_for or ("depth" in frames_for and there)
     volume = load_volume(folder / VOLUME_FILE, device=device)
     return Target(
         name=str(folder),
@@ -86,6 +90,7 @@ def open_reconstruction(folder: Path, *, device: Device, with_frames: bool) -> T
 
 def _fused_frames(folder: Path, record: ReconstructionRecord) -> References:
     fused = open_dataset(folder / record.dataset)
+    farthest = record.depth_max_m or float("inf")
 
     def references(_estimate: Matrix, indices: NDArray[np.int64]) -> list[ReferenceFrame]:
         frames = [record.trajectory[int(i)].frame for i in indices[:REFERENCES]]
@@ -93,7 +98,7 @@ def _fused_frames(folder: Path, record: ReconstructionRecord) -> References:
             ReferenceFrame(
                 camera=fused.camera,
                 color=fused.color(i),
-                depth=fused.depth(i),
+                depth=np.where(fused.depth(i) <= farthest, fused.depth(i), np.float32(0)),
                 world_from_camera=fused.world_from_camera(i),
             )
             for i in frames

@@ -79,7 +79,8 @@ def test_the_silhouettes_area_and_middle_move_as_those_that_rays_hit(model):
     coarse = fine.subsampled(5)
     v, u = np.mgrid[: coarse.height, : coarse.width].reshape(2, -1)
     pixels = np.stack([u, v], axis=-1).astype(float)
-    seen = soft_silhouette(model, coarse, pixels, POSES[1], softness_px=2.0, pivot_world=MIDDLE)
+    # Narrow, as at the finer levels: in the fan beyond a corner a piece of the edge tells of its own normal alone.
+    seen = soft_silhouette(model, coarse, pixels, POSES[1], softness_px=1.0, pivot_world=MIDDLE)
     rows, columns = np.mgrid[: fine.height, : fine.width] / 5
 
     def moments(pose):
