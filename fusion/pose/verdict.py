@@ -12,7 +12,7 @@ from fusion.reconstruction_files import Answer
 
 FOUND_FROM, DOUBTFUL_FROM = 0.85, 0.55
 """Of the quality of a query with depth."""
-OUTLINE_FOUND_FROM, OUTLINE_DOUBTFUL_FROM = 0.9, 0.8
+OUTLINE_FOUND_FROM, OUTLINE_DOUBTFUL_FROM = 0.97, 0.85
 """Of the quality of a query with a mask alone."""
 
 FEWEST_PIXELS = 60
