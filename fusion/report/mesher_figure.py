@@ -48,7 +48,7 @@ WAYS = (
     ),
     Way(
         key="dual-contouring-depth-coarse",
-        title="the same, voxels twice as large",
+        title="of the depth images, voxels twice as large",
         changes={"mesher": "dual-contouring", "oracle": "depth"},
         coarser=2,
     ),
@@ -146,11 +146,17 @@ def _observers(subject: Subject, fused: Run) -> Observers:
 
 def _numbers(outcome: Outcome, first: Outcome) -> tuple[tuple[str, str], ...]:
     seconds = outcome.made.seconds
-    numbers = [("meshing", f"{1000 * seconds:.0f} ms, ×{seconds / first.made.seconds:.1f}")]
+    text = f"{1000 * seconds:.0f} ms" if seconds < 1 else f"{seconds:.1f} s"
+    numbers = [("meshing", f"{text}, ×{_short(seconds / first.made.seconds)}")]
     for name, error in (("sharp edges", outcome.sharp), ("smooth parts", outcome.smooth)):
         if error is not None:
             numbers.append((name, f"{1000 * error:.3g} mm"))
     return tuple(numbers)
+
+
+def _short(ratio: float) -> str:
+    """Return a ratio with one decimal where it is small."""
+    return f"{ratio:.1f}" if ratio < 10 else f"{ratio:,.0f}"
 
 
 def _in_words(outcomes: Sequence[Outcome]) -> str:
@@ -158,7 +164,7 @@ def _in_words(outcomes: Sequence[Outcome]) -> str:
     cubes, volume, depth, coarse = outcomes
 
     def times(one: Outcome) -> str:
-        return f"{one.made.seconds / cubes.made.seconds:.2g}"
+        return _short(one.made.seconds / cubes.made.seconds)
 
     def vertices(one: Outcome) -> str:
         return f"{100 * len(one.made.run.mesh.vertices) / len(cubes.made.run.mesh.vertices):.0f} %"

@@ -113,7 +113,7 @@ def test_what_dual_contouring_costs_and_gains_is_said_with_the_numbers_of_its_re
     share = 100 * coarse[0].vertices / cubes[0].vertices
     assert f"On voxels twice as large it has {share:.0f} % of them" in page
     times = made["dual-contouring", "volume", 0.02][1] / cubes[1]
-    assert f"it costs {times:.2g} times marching cubes" in page
+    assert f"it costs {times:.1f} times marching cubes" in page
     # A ball has no sharp edges, and all of it is smooth.
     assert "<dt>smooth parts</dt>" in page
     assert "<dt>sharp edges</dt>" not in page
