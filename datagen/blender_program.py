@@ -16,6 +16,11 @@ _RUN_MODULE = (
 )
 
 
+def runs_in_application() -> bool:
+    """Tell whether Blender is an application here, rather than a Python module."""
+    return bool(os.environ.get(PROGRAM_VARIABLE))
+
+
 def module_command(module: str, *arguments: str) -> list[str]:
     """Return the command line that runs ``module`` with ``arguments`` where it can import bpy.
 

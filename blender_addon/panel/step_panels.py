@@ -118,10 +118,10 @@ class SCANBACK_PT_scan(_StepPanel, bpy.types.Panel):  # type: ignore[misc]  # no
         settings = scene.scanback.scan
         folder = scan_folder(scene)
         self.settings(scene.scanback, "folder")
-        row = self.layout.row()
-        row.active = False
-        row.label(text=str(folder))
-        row.operator(SCANBACK_OT_open_folder.bl_idname, text="", icon="FILE_FOLDER")
+        if not scene.scanback.folder:
+            column = self.layout.column()
+            column.active = False
+            draw_wrapped(column, context, str(folder))
         self.settings(settings, "subject", "trajectory")
         extra = {"ORBIT": ("elevation", "turns", "distance"), "HEMISPHERE": ("distance",)}
         self.settings(settings, *extra.get(settings.trajectory, ()))
@@ -139,7 +139,9 @@ class SCANBACK_PT_scan(_StepPanel, bpy.types.Panel):  # type: ignore[misc]  # no
             self.layout.label(text=f"{status.frames} of {status.frame_count or '?'} frames are there")
             self.draw_button(context, SCANBACK_OT_resume_scan, reasons.why_no_job(), icon="PLAY")
         else:
-            self.layout.label(text=f"{status.frames} frames", icon="CHECKMARK")
+            row = self.layout.row()
+            row.label(text=f"{status.frames} frames", icon="CHECKMARK")
+            row.operator(SCANBACK_OT_open_folder.bl_idname, icon="FILE_FOLDER")
         self.draw_button(context, SCANBACK_OT_scan, reason, text="Scan Again", overwrite=True)
 
 
@@ -170,7 +172,8 @@ class SCANBACK_PT_fuse(_StepPanel, bpy.types.Panel):  # type: ignore[misc]  # no
         column = self.layout.column(align=True)
         column.label(text=f"Voxels of {length_text(context, voxel_size)}: about")
         column.label(text=f"{estimate.triangles(voxel_size):,} triangles")
-        column.label(text=f"{estimate.megabytes(voxel_size, truncation):,.0f} MB of memory")
+        megabytes = max(estimate.megabytes(voxel_size, truncation), 1)
+        column.label(text=f"{megabytes:,.0f} MB of memory")
 
 
 class SCANBACK_PT_locate(_StepPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: N801

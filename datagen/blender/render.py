@@ -6,14 +6,19 @@ from typing import Any
 
 import bpy
 import numpy as np
-import OpenEXR
 from numpy.typing import NDArray
 
 from datagen.blender.camera import FILTER_WIDTH_PX, read_pose
+from datagen.blender_program import runs_in_application
 from datagen.color import srgb8_from_linear
 from datagen.errors import InputError
 from datagen.rigid import Matrix
 from datagen.scene_spec.render_settings import RenderSettings
+
+if runs_in_application():
+    from datagen.blender.exr_process import read_file
+else:
+    from datagen.exr_reader import read_file
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,12 +146,8 @@ def _configure_exr(image: bpy.types.ImageFormatSettings) -> None:
 
 
 def read_channels(exr: Path) -> dict[str, NDArray[np.float32]]:
-    """Return all channels of a multilayer EXR file, (H, W) each, and delete it.
-
-    Blender 4.5 writes one part, 5.0 may write several.
-    """
-    with OpenEXR.File(str(exr), separate_channels=True) as file:
-        channels = {name: channel.pixels for part in file.parts for name, channel in part.channels.items()}
+    """Return all channels of a multilayer EXR file, (H, W) each, and delete it."""
+    channels = read_file(exr)
     exr.unlink()
     return channels
 

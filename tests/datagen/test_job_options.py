@@ -6,6 +6,7 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from datagen.blender_program import PROGRAM_VARIABLE, module_command
@@ -84,3 +85,30 @@ def test_what_blender_is_given_to_run_runs_the_module(monkeypatch: pytest.Monkey
     )
     assert done.returncode == 0
     assert "json" in done.stdout.lower()
+
+
+def test_exr_files_are_read_by_another_process_as_by_this_one(tmp_path: Path) -> None:
+    """As in a Blender application, where the module OpenEXR must not be loaded."""
+    OpenEXR = pytest.importorskip("OpenEXR")  # noqa: N806
+    from datagen.blender import exr_process
+    from datagen.exr_reader import read_file
+
+    channels = {name: np.random.default_rng(0).random((4, 5), dtype=np.float32) for name in ("View.Depth.Z", "A")}
+    header = {"compression": OpenEXR.NO_COMPRESSION, "type": OpenEXR.scanlineimage}
+    OpenEXR.File(header, channels).write(str(tmp_path / "image.exr"))
+    here = read_file(tmp_path / "image.exr")
+    for _ in range(2):
+        there = exr_process.read_file(tmp_path / "image.exr")
+        assert there.keys() == here.keys()
+        for name, channel in channels.items():
+            np.testing.assert_array_equal(there[name], channel)
+    assert [path.name for path in tmp_path.iterdir()] == ["image.exr"]
+    with pytest.raises(RuntimeError, match=r"none\.exr: "):
+        exr_process.read_file(tmp_path / "none.exr")
+    reader = exr_process._reader()
+    assert reader.stdin is not None
+    reader.stdin.close()
+    assert reader.wait(timeout=10) == 0
+    assert reader.stdout is not None
+    reader.stdout.close()
+    exr_process._reader.cache_clear()

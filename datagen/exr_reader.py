@@ -1,0 +1,38 @@
+"""Reading EXR files; ``python -m datagen.exr_reader`` does it for a process that must not load OpenEXR.
+
+Standard input brings a path a line; the channels go into a NumPy archive beside the file, and standard output says
+``ok`` then, or what is wrong.
+"""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+from numpy.typing import NDArray
+
+ARCHIVE_SUFFIX = ".npz"
+
+
+def read_file(exr: Path) -> dict[str, NDArray[np.float32]]:
+    """Return all channels of an EXR file, (H, W) each. Blender 4.5 writes one part, 5.0 may write several."""
+    with OpenEXR.File(str(exr), separate_channels=True) as file:
+        return {name: channel.pixels for part in file.parts for name, channel in part.channels.items()}
+
+
+def main() -> None:
+    """Serve one process until it closes standard input."""
+    for line in sys.stdin:
+        exr = Path(line.rstrip("\n"))
+        try:
+            channels = read_file(exr)
+            np.savez(exr.with_suffix(ARCHIVE_SUFFIX), **channels)
+            answer = "ok"
+        except Exception as error:  # whatever is wrong with a file, the other process is to say it
+            answer = f"{type(error).__name__}: {error}".replace("\n", " ")
+        sys.stdout.write(answer + "\n")
+        sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main()
