@@ -60,5 +60,22 @@ class Stalls:
                 self.calls.append((wall, used, self._name.rpartition("scanback/")[2]))
 
 
+def watched(steps):
+    """Go through ``steps``; return their result and the stalls meanwhile."""
+    stalls = Stalls()
+    stalls.begin()
+    result = yield from steps
+    return result, stalls.end()
+
+
+def redrawing(seconds):
+    """Let the interface draw as often as it does while a job runs."""
+    for _ in range(round(seconds / 0.1)):
+        for area in bpy.context.window_manager.windows[0].screen.areas:
+            if area.type == "VIEW_3D":
+                area.tag_redraw()
+        yield 0.1
+
+
 def _now():
     return time.perf_counter(), time.thread_time()

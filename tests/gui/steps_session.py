@@ -8,7 +8,7 @@ import bpy
 
 sys.path.append("/shared")
 
-from stalls import Stalls
+from stalls import redrawing, watched
 
 SCAN = Path("/shared/scan")
 
@@ -25,13 +25,13 @@ def steps(window):
     settings.locate.query = "HELD_OUT"
     yield from window.open_tab("Scanback")
     window.shot("before")
-    window.seen["idle"] = yield from watched(redrawing(3.0))
+    _, window.seen["idle"] = yield from watched(redrawing(3.0))
 
     for operator in ("scan", "fuse", "locate", "compare"):
         with window.within():
             result = getattr(bpy.ops.scanback, operator)("INVOKE_DEFAULT")
         assert result == {"FINISHED"}, (operator, result)
-        ending, stalls = yield from watched(window.finish_job(half_way=f"{operator}-running"), with_result=True)
+        ending, stalls = yield from watched(window.finish_job(half_way=f"{operator}-running"))
         window.seen[operator] = {"ended": ending, **stalls}
         yield 0.5
         window.shot(f"{operator}-done")
@@ -71,21 +71,3 @@ def suzanne():
     checker.inputs["Scale"].default_value = 6
     links.new(checker.outputs["Color"], nodes["Principled BSDF"].inputs["Base Color"])
     monkey.data.materials.append(material)
-
-
-def redrawing(seconds):
-    """Let the interface draw as often as it does while a job runs."""
-    for _ in range(round(seconds / 0.1)):
-        for area in bpy.context.window_manager.windows[0].screen.areas:
-            if area.type == "VIEW_3D":
-                area.tag_redraw()
-        yield 0.1
-
-
-def watched(steps, *, with_result=False):
-    """Go through ``steps`` and return the stalls meanwhile, after the steps' own result where that is asked for."""
-    stalls = Stalls()
-    stalls.begin()
-    result = yield from steps
-    measured = stalls.end()
-    return (result, measured) if with_result else measured
