@@ -23,6 +23,8 @@ from fusion.pose_benchmark.subjects import Subject
 from fusion.pose_benchmark.tasks import Case, Task, make_task, timed
 from fusion.surface.mesh_ray_casting import cast_rays_at_mesh
 
+FEWEST_POINTS = 10
+
 
 def run_case(case: Case) -> CaseResult:
     """Locate a case's view and measure how far off it is; what cannot be located is told, not raised."""
@@ -95,7 +97,8 @@ def points_in_view(model: ModelPoints, camera_from_model: Matrix, camera: Pinhol
     seen = (np.abs(u - (camera.width - 1) / 2) < camera.width / 2) & (
         np.abs(v - (camera.height - 1) / 2) < camera.height / 2
     )
-    return ModelPoints(points=model.points[seen], symmetries=model.symmetries)
+    # A view of next to nothing is not worth a crash: its errors in the image are infinite then.
+    return model if seen.sum() < FEWEST_POINTS else ModelPoints(points=model.points[seen], symmetries=model.symmetries)
 
 
 def _fixed_rotation_deg(subject: Subject, estimate: Matrix, truth: Matrix) -> float:
