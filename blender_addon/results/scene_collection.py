@@ -41,7 +41,7 @@ def find_collection(scene: bpy.types.Scene, folder: Path) -> bpy.types.Collectio
     in_scene = scene.collection.children_recursive
     for collection in bpy.data.collections:
         is_free = collection in in_scene or collection.users == 0
-        if is_free and collection.library is None and folder_of(collection) == folder:
+        if is_free and _is_editable(collection) and folder_of(collection) == folder:
             return collection
     return None
 
@@ -69,8 +69,9 @@ def parts(collection: bpy.types.Collection, part: str) -> list[bpy.types.Object]
 
 
 def our_collections(scene: bpy.types.Scene) -> list[bpy.types.Collection]:
-    """Return the collections of reconstructions in ``scene``."""
-    return [collection for collection in scene.collection.children_recursive if FOLDER_KEY in collection]
+    """Return the collections of reconstructions in ``scene``, but for those that belong to another file."""
+    ours = (collection for collection in scene.collection.children_recursive if FOLDER_KEY in collection)
+    return [collection for collection in ours if _is_editable(collection)]
 
 
 def folder_of(collection: bpy.types.Collection) -> Path | None:
@@ -94,6 +95,11 @@ def remove_parts(collection: bpy.types.Collection, *, part: str | None = None) -
             if item.name not in collection.objects:
                 collection.objects.link(item)
         bpy.data.collections.remove(child)
+
+
+def _is_editable(collection: bpy.types.Collection) -> bool:
+    """Tell whether a collection is this file's own: neither linked from another one nor an override of such."""
+    return collection.library is None and collection.override_library is None
 
 
 def _is(collection: bpy.types.Collection, part: str | None) -> bool:

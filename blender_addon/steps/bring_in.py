@@ -28,9 +28,11 @@ def bring_in(
         return reconstruction, mesh_arrays(reconstruction.mesh)
 
     reconstruction, arrays = yield from job.in_thread(read)
+    scene.find()  # nothing is made for a scene that is gone
     name = yield from _make_mesh(arrays)
+    target = scene.find()
     mesh = object_of(MESH_NAME, bpy.data.meshes[name])
-    place_reconstruction(scene.find(), reconstruction, mesh, match_render_size=match_render_size)
+    place_reconstruction(target, reconstruction, mesh, match_render_size=match_render_size)
     show_vertex_colors()
     push_undo(undo)
     return reconstruction

@@ -84,7 +84,7 @@ def bounds_of(objects: Iterable[bpy.types.Object], scene: bpy.types.Scene) -> Bo
     chosen = [item for item in every if item.name in scene.view_layers[0].objects and item.select_get()] or every
     near, far = _corners(chosen), np.concatenate([_corners(every), _corners(chosen)])
     center = (near.min(axis=0) + near.max(axis=0)) / 2
-    radius = float(np.linalg.norm(np.ptp(near, axis=0)) / 2)
+    radius = float(np.linalg.norm(near - center, axis=1).max())
     if radius <= 0:
         raise ReconstructionError(f"{chosen[0].name} has no extent; scan an object that has one")
     reach = float(np.linalg.norm(far - center, axis=1).max())

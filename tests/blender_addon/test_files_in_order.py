@@ -193,3 +193,26 @@ def test_triangles_are_written_as_others_read_them(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read.vertices.astype(np.float32), sphere.vertices.astype(np.float32))
     with pytest.raises(ValueError, match="no colours"):
         read_colored_mesh(tmp_path / "x.ply")
+
+
+@pytest.mark.usefixtures("extension")
+def test_what_belongs_to_another_file_is_left_alone(sphere_scan: Any, tmp_path: Path) -> None:
+    """A reconstruction that was linked, or overridden, stays; importing its folder makes one of this file's own."""
+    import_reconstruction(bpy.context.scene, sphere_scan.folder)
+    library = tmp_path / "library.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(library))
+    for override in (False, True):
+        bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+        scene = bpy.context.scene
+        with bpy.data.libraries.load(str(library), link=True) as (_, wanted):
+            wanted.collections = ["Scanback sphere"]
+        scene.collection.children.link(wanted.collections[0])
+        if override:
+            wanted.collections[0].override_hierarchy_create(scene, bpy.context.view_layer)
+        before = {item.as_pointer() for item in scene.objects}
+        assert len(before) >= 6
+        with pytest.raises(RuntimeError, match="The scene has no reconstruction"):
+            bpy.ops.scanback.replay()
+        assert bpy.ops.scanback.import_reconstruction(directory=str(sphere_scan.folder)) == {"FINISHED"}
+        assert before < {item.as_pointer() for item in scene.objects}
+        assert bpy.ops.scanback.replay() == {"FINISHED"}

@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import bpy
 import psutil
@@ -18,6 +19,9 @@ from blender_addon.jobs import runner
 from blender_addon.jobs.command import Command
 from blender_addon.jobs.job import Job, Pace, State, Work
 from blender_addon.jobs.progress import ProcessLog, Progress
+from blender_addon.settings import FuseProperties
+from blender_addon.steps.fuse import fuse_work
+from blender_addon.steps.scene_reference import remember
 
 
 def _finish(job: Job, *, seconds: float = 60) -> float:
@@ -166,6 +170,7 @@ def test_a_job_that_is_killed_is_reported_and_the_panel_usable_again(tmp_path: P
 STARTS_A_JOB = """
 import sys, time
 from pathlib import Path
+from typing import Any
 import bpy, blender_addon
 from blender_addon.jobs import runner
 from blender_addon.jobs.command import Command
@@ -236,3 +241,26 @@ def test_without_a_place_for_its_files_a_job_does_not_begin(tmp_path: Path) -> N
     (tmp_path / "file").write_text("")
     with pytest.raises(ReconstructionError, match="cannot be written"):
         Job("Scan", _rendering(tmp_path), cache=tmp_path / "file" / "jobs")
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("extension")
+def test_a_job_goes_on_when_another_file_is_opened_and_its_result_is_kept(sphere_scan: Any, tmp_path: Path) -> None:
+    scene = bpy.context.scene
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "other.blend"))
+    chosen = {name: getattr(scene.scanback.fuse, name) for name in FuseProperties.__annotations__}
+    chosen |= {"device": "cpu", "voxel_size": 0.05}
+    folder = tmp_path / "project"
+    job = runner.start("Fuse", fuse_work(remember(scene), folder, sphere_scan.dataset, chosen))
+    while job.pid is None or job.log.progress is None:
+        runner.advance()
+        time.sleep(0.02)
+        assert not job.is_over, job.message
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "other.blend"))
+    assert runner.current_job() is job
+    _finish(job, seconds=120)
+    assert job.state is State.FAILED
+    assert "is not open any more; what was made is kept" in job.message
+    assert (folder / "reconstruction" / "mesh.ply").is_file()
+    assert not bpy.data.objects
+    assert bpy.ops.scanback.import_reconstruction(directory=str(folder / "reconstruction")) == {"FINISHED"}

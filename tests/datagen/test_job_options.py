@@ -95,7 +95,7 @@ def test_exr_files_are_read_by_another_process_as_by_this_one(tmp_path: Path) ->
 
     channels = {name: np.random.default_rng(0).random((4, 5), dtype=np.float32) for name in ("View.Depth.Z", "A")}
     header = {"compression": OpenEXR.NO_COMPRESSION, "type": OpenEXR.scanlineimage}
-    OpenEXR.File(header, channels).write(str(tmp_path / "image.exr"))
+    OpenEXR.File(header, dict(channels)).write(str(tmp_path / "image.exr"))
     here = read_file(tmp_path / "image.exr")
     for _ in range(2):
         there = exr_process.read_file(tmp_path / "image.exr")
