@@ -104,7 +104,10 @@ def _tick() -> float | None:
 
 
 def _redraw() -> None:
+    """Draw the sidebars anew, and not the scene beside them, which may be large."""
     for window in bpy.context.window_manager.windows:
         for area in window.screen.areas:
             if area.type == "VIEW_3D":
-                area.tag_redraw()
+                for region in area.regions:
+                    if region.type == "UI":
+                        region.tag_redraw()
