@@ -17,7 +17,7 @@ from blender_addon.packaging.wheel_files import CHECKOUT
 ROOM = Path(__file__).parent
 BUILD = CHECKOUT / "build"
 DISPLAY_SIZE = "1600x1000"
-TIME_LIMIT_S = 500
+TIME_LIMIT_S = 1200
 
 
 @dataclass(frozen=True)
@@ -46,13 +46,15 @@ class Desktop:
         command = ["unshare", "--mount", "--pid", "--fork", "--kill-child", str(ROOM / "on-display.sh")]
         command += [str(self.root), str(self.shared), DISPLAY_SIZE, *blender, "--", f"/shared/{session}", "/shared"]
         command += arguments
-        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=TIME_LIMIT_S)
+        command = ["timeout", str(TIME_LIMIT_S), *command]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
         output = done.stdout + done.stderr
         (self.shared / "output.txt").write_text(output)
         seen_file = self.shared / "seen.json"
         assert seen_file.is_file(), output
         seen = json.loads(seen_file.read_text())
         assert "error" not in seen, seen["error"] + output
+        assert seen.get("finished"), output
         seen["output"] = output
         return seen
 

@@ -20,8 +20,7 @@ def steps(window):
     window.seen["ended"] = ended
     meshes = [item for item in bpy.data.objects if item.type == "MESH"]
     window.seen["vertices"] = [len(item.data.vertices) for item in meshes]
-    window.area("VIEW_3D").spaces.active.shading.type = "MATERIAL"
     with window.within():
         bpy.ops.view3d.view_all()
-    yield 4.0
+    yield 2.0
     window.shot("imported")

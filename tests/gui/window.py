@@ -98,11 +98,12 @@ def _go_on(window, steps):
     try:
         return next(steps)
     except StopIteration:
-        pass
+        window.seen["finished"] = True
     except BaseException:
         window.seen["error"] = traceback.format_exc()
         window.shot("failed")
-    (window.folder / "seen.json").write_text(json.dumps(window.seen))
+    finally:  # what was seen so far is of use where a session has to be ended
+        (window.folder / "seen.json").write_text(json.dumps(window.seen))
     bpy.ops.wm.quit_blender()
     return None
 
