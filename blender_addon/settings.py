@@ -221,9 +221,17 @@ def ensure_token(scene: Any) -> str:
     return str(scene.scanback.token)
 
 
+_devices = ["cpu", "cuda"]
+
+
 def suggested_devices() -> list[str]:
-    """Return what may stand as a device."""
-    return ["auto", "cpu", "cuda", "cuda:0", "cuda:1"]
+    """Return what may stand as a device: those of this machine, once a job has told which there are."""
+    return ["auto", *_devices]
+
+
+def note_devices(names: list[str]) -> None:
+    """Keep the names of this machine's devices."""
+    _devices[:] = names
 
 
 def register() -> None:

@@ -37,6 +37,13 @@ def resolve_device(name: str) -> Device:
     return wp.get_device(alias)
 
 
+def available_devices() -> list[str]:
+    """Return the names of the devices that there are, ``cpu`` first."""
+    wp.config.log_level = wp.LOG_ERROR
+    wp.init()
+    return ["cpu", *(str(device.alias) for device in wp.get_cuda_devices())]
+
+
 def free_memory(device: Device) -> int:
     """Return the bytes that can still be allocated on a device."""
     return int(device.free_memory) if device.is_cuda else int(psutil.virtual_memory().available)

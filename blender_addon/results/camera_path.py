@@ -19,4 +19,6 @@ def create_path_object(name: str, trajectory: Sequence[FusedFrame], *, radius_m:
     """
     positions_world = np.array([frame.world_from_camera[:3, 3] for frame in trajectory])
     material = colored_wire(name, PATH_COLOR_LINEAR)
-    return bpy.data.objects.new(name, create_wire(name, [positions_world], radius_m=radius_m, material=material))
+    path = bpy.data.objects.new(name, create_wire(name, [positions_world], radius_m=radius_m, material=material))
+    path.display_type = "WIRE"  # in Solid shading a camera on the path would see the inside of its tube
+    return path

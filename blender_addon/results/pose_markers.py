@@ -38,6 +38,7 @@ def create_markers(
         show_behind(camera.data, color_file(dataset, frame.nearest))
         wire = bpy.data.objects.new(f"{camera.name} frustum", frustum)
         wire.parent = camera
+        wire.display_type = "WIRE"
         wire.hide_select = True  # a click on it is meant for the camera
         markers += [camera, wire]
         if frame.refined is not None:

@@ -7,6 +7,7 @@ from typing import Any
 
 from ..jobs.command import Command
 from ..jobs.job import Job, Work
+from ..settings import note_devices
 
 BLOCK_SIDE = 8
 BYTES_PER_VOXEL = 8
@@ -47,6 +48,7 @@ def note_estimate(dataset: Path, answer: Any) -> Estimate:
     """Keep what the command answered."""
     found = Estimate(taxicab_area=float(answer["taxicab_area"]), voxel_size=float(answer["voxel_size"]))
     _known[dataset] = found
+    note_devices([str(name) for name in answer["devices"]])
     return found
 
 

@@ -8,6 +8,7 @@ from typing import Any
 from datagen.commands.job_options import add_job_options, reporting
 from datagen.open_dataset import open_dataset
 from fusion.commands.arguments import add_depth_layer, add_frames, add_json, print_result
+from fusion.devices import available_devices
 from fusion.estimate import estimate
 from fusion.reconstruction_config import VOXELS_PER_TRUNCATION, check_length
 
@@ -42,4 +43,4 @@ def _run(options: argparse.Namespace) -> None:
         f"{found.frames} frames at a voxel size of {voxel_size:g} m: about {sizes['triangles']:,} triangles, "
         f"{sizes['volume_bytes'] / 2**20:,.0f} MiB of voxels"
     )
-    print_result(options, asdict(found) | sizes, text)
+    print_result(options, asdict(found) | sizes | {"devices": available_devices()}, text)

@@ -44,3 +44,4 @@ def test_the_command_tells_programs(sphere: Path, capsys: pytest.CaptureFixture[
     answer = json.loads(capsys.readouterr().out)
     assert answer["frames"] == 8
     assert answer["triangles"] > 0
+    assert answer["devices"][0] == "cpu"
