@@ -3,7 +3,7 @@
 import pytest
 
 STALL_MS = 50.0
-"""The longest that the extension may keep Blender's main thread while a job runs."""
+"""The longest that the extension may keep Blender's main thread while a job runs, in processor time."""
 
 
 @pytest.fixture(scope="module")
