@@ -20,6 +20,7 @@ import pytest
 from blender_addon.packaging.build_zips import EXTENSION, blender_ext, build_zips
 
 SESSION = Path(__file__).with_name("extension_session.py")
+BLENDERS_OWN = {"blf", "bpy", "bpy_extras", "gpu", "gpu_extras", "mathutils", "numpy"}
 ONLY_IN_A_CHECKOUT = {"__main__.py", "headless", "packaging"}
 
 
@@ -50,7 +51,7 @@ def test_the_code_keeps_the_platforms_rules(archive: Path) -> None:
     assert sources
     for name, source in sources.items():
         tree = ast.parse(source)
-        assert _imported(tree) <= {"bpy", "mathutils", "numpy", "gpu", "gpu_extras"} | sys.stdlib_module_names, name
+        assert _imported(tree) <= BLENDERS_OWN | sys.stdlib_module_names, name
         assert "bl_info" not in source, name
         for node in ast.walk(tree):
             if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
