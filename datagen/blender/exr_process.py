@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-READER_MODULE = "datagen.exr_reader"
+READER_MODULE = "datagen.blender.exr_reader"
 
 
 def read_file(exr: Path) -> dict[str, NDArray[np.float32]]:

@@ -18,7 +18,7 @@ from datagen.scene_spec.render_settings import RenderSettings
 if runs_in_application():
     from datagen.blender.exr_process import read_file
 else:
-    from datagen.exr_reader import read_file
+    from datagen.blender.exr_reader import read_file
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -91,7 +91,7 @@ def test_exr_files_are_read_by_another_process_as_by_this_one(tmp_path: Path) ->
     """As in a Blender application, where the module OpenEXR must not be loaded."""
     OpenEXR = pytest.importorskip("OpenEXR")  # noqa: N806
     from datagen.blender import exr_process
-    from datagen.exr_reader import read_file
+    from datagen.blender.exr_reader import read_file
 
     channels = {name: np.random.default_rng(0).random((4, 5), dtype=np.float32) for name in ("View.Depth.Z", "A")}
     header = {"compression": OpenEXR.NO_COMPRESSION, "type": OpenEXR.scanlineimage}

@@ -1,4 +1,4 @@
-"""Reading EXR files; ``python -m datagen.exr_reader`` does it for a process that must not load OpenEXR.
+"""Reading EXR files; ``python -m datagen.blender.exr_reader`` does it for a process that must not load OpenEXR.
 
 Standard input brings a path a line; the channels go into a NumPy archive beside the file, and standard output says
 ``ok`` then, or what is wrong.
