@@ -11,7 +11,6 @@ import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
-import bpy
 import numpy
 import pytest
 
@@ -92,10 +91,9 @@ def python(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
     folder = tmp_path_factory.mktemp("lean")
     venv.create(folder, symlinks=True)
     (packages,) = folder.glob("lib/python*/site-packages")
-    for module in (bpy, numpy):
-        source = Path(module.__file__).parent
-        for part in source.parent.glob(f"{source.name}*"):
-            (packages / part.name).symlink_to(part)
+    ours = Path(numpy.__file__).parents[1]
+    for part in (*ours.glob("numpy*"), *ours.glob("bpy*")):
+        (packages / part.name).symlink_to(part)
     return str(folder / "bin" / "python")
 
 
