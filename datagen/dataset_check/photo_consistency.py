@@ -42,11 +42,13 @@ class View:
 class PhotoConsistency:
     """The offset (x, y) of colour beside depth at which images agree best.
 
-    ``significance`` is by how many standard errors between pairs it is better than any offset ``TELLING_PX`` away.
+    ``significance`` is by how many standard errors between pairs it is better than any offset ``TELLING_PX`` away,
+    ``lead`` than those less than ``TELLING_PX`` from none: colour may surely be off, though not by how much.
     """
 
     offset_px: tuple[float, float]
     significance: float
+    lead: float
     pairs: int
 
     @property
@@ -56,8 +58,8 @@ class PhotoConsistency:
 
     @property
     def is_clear(self) -> bool:
-        """Whether the images tell one offset from all others."""
-        return self.significance >= LEAST_SIGNIFICANCE
+        """Whether the images tell one offset from all others, or that there is one."""
+        return max(self.significance, self.lead) >= LEAST_SIGNIFICANCE
 
 
 def measure_photo_consistency(
@@ -80,12 +82,17 @@ def measure_photo_consistency(
     offsets = np.concatenate([coarse, fine])
     costs = np.concatenate([costs, [_costs(each, fine) for each in shared]], axis=1)
     best = int(costs.mean(axis=0).argmin())
-    lead = costs - costs[:, best, None]
-    error = np.maximum(lead.std(axis=0, ddof=1) / np.sqrt(len(lead)), 1e-9)
+    worse = costs - costs[:, best, None]
+    error = np.maximum(worse.std(axis=0, ddof=1) / np.sqrt(len(worse)), 1e-9)
+    errors_worse = worse.mean(axis=0) / error
     apart = np.hypot(*(offsets - offsets[best]).T) >= TELLING_PX
+    none = np.hypot(*offsets.T) < TELLING_PX
+    # What agrees ever better up to the last offset that is tried has a trend, and no best place.
+    has_best = np.abs(offsets[best]).max() < np.abs(coarse).max()
     return PhotoConsistency(
         offset_px=(float(offsets[best, 0]), float(offsets[best, 1])),
-        significance=float((lead.mean(axis=0) / error)[apart].min()),
+        significance=float(errors_worse[apart].min()),
+        lead=float(errors_worse[none].min()) if has_best else 0.0,
         pairs=len(shared),
     )
 

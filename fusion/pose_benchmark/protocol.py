@@ -150,9 +150,9 @@ def _room_trials(_width_px: int) -> tuple[Trial, ...]:
             title="nearest, then features of these frames",
             start="found",
             stages=("epipolar",),
-            bars=bars,
+            bars=told,
         ),
-        Trial(name="depth", title="nearest, then depth alone", start="found", stages=("depth",), bars=told),
+        Trial(name="depth", title="nearest, then depth", start="found", stages=("depth",), bars=bars),
     )
 
 

@@ -137,6 +137,6 @@ def _nearest(fused: Fused, exact: View, found: NearestPose | NearestOutline, cos
 
 
 def _references(fused: Fused, trial: Trial, found: NearestPose | NearestOutline) -> tuple[ReferenceFrame, ...]:
-    if "epipolar" not in trial.stages:
+    if trial.stages == ("silhouette",):
         return ()
     return tuple(fused.reference(fused.frames[i]) for i in found.indices[:REFERENCES])

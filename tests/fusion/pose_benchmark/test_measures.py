@@ -118,9 +118,9 @@ def test_the_bars_are_those_that_were_asked_for():
         ("noisy", "5 px projection"): 99.5,
         ("real", "ADD-S-0.1d"): 100,
         ("real", "median rotation that the shape fixes"): 3,
-        ("features", "within 5 cm 5°"): 99,
-        ("features", "median rotation"): 0.5,
-        ("features", "median translation"): 10,
+        ("depth", "within 5 cm 5°"): 99,
+        ("depth", "median rotation"): 0.5,
+        ("depth", "median translation"): 10,
         ("clean", "time, nearest view"): 20,
         ("clean", "time, refinement"): 150,
     }
