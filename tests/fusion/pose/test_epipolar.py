@@ -1,11 +1,14 @@
 """A wavy, speckled wall, seen by rays against it; speckles are fixed to the wall, so features are too."""
 
+from functools import lru_cache
+
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from datagen.camera import PinholeCamera
 from datagen.rigid import inverse, look_at, rotation_angle_deg
+from fusion.devices import resolve_device
 from fusion.pose.epipolar import FEATURES, EpipolarOptions, ReferenceFrame, rectify
 from fusion.pose.pose_model import prepare_model
 from fusion.pose.query import Query
@@ -34,16 +37,24 @@ def see(pose, *, textured=True):
     return np.repeat(shade[..., None], 3, axis=2), depth.astype(np.float32)
 
 
-@pytest.fixture
-def model(device):
+@lru_cache(maxsize=2)
+def _relief(device_name):
     side = np.linspace(-0.8, 0.8, 320)
     x, y = (a.ravel() for a in np.meshgrid(side, side))
     surface = np.stack([x, y, height_at(x, y)], axis=-1)
     # Across a surface that is nearly flat the height over it is nearly the distance.
     volume = volume_from_distances(
-        lambda p: height_at(p[:, 0], p[:, 1]) - p[:, 2], surface, voxel_size=0.01, device=device
+        lambda p: height_at(p[:, 0], p[:, 1]) - p[:, 2],
+        surface,
+        voxel_size=0.01,
+        device=resolve_device(device_name),
     )
     return prepare_model(volume)
+
+
+@pytest.fixture
+def model(device):
+    return _relief(device.alias)
 
 
 def references():

@@ -1,3 +1,5 @@
+from functools import lru_cache
+
 import numpy as np
 import pytest
 from boxes import POSES, box_model, see_boxes
@@ -7,6 +9,7 @@ from three_balls import CAMERA, twist
 from datagen.camera import PinholeCamera
 from datagen.errors import InputError
 from datagen.rigid import inverse, rotation_angle_deg
+from fusion.devices import resolve_device
 from fusion.pose.query import Query
 from fusion.pose.se3 import perturb
 from fusion.pose.silhouette_refinement import (
@@ -17,9 +20,14 @@ from fusion.pose.silhouette_target import silhouette_from_depth
 from fusion.pose.soft_silhouette import soft_silhouette
 
 
+@lru_cache(maxsize=2)
+def _box(device_name):
+    return box_model(resolve_device(device_name))
+
+
 @pytest.fixture
 def model(device):
-    return box_model(device)
+    return _box(device.alias)
 
 
 MIDDLE = np.zeros(3)
