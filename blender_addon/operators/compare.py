@@ -55,15 +55,4 @@ class SCANBACK_OT_show_colors(bpy.types.Operator):  # noqa: N801
 
 
 CLASSES = (SCANBACK_OT_compare, SCANBACK_OT_show_colors)
-
-
-def register() -> None:
-    """Add the operators."""
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
-
-
-def unregister() -> None:
-    """Take them away."""
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)
+register, unregister = bpy.utils.register_classes_factory(CLASSES)

@@ -50,15 +50,4 @@ class SCANBACK_OT_estimate(JobOperator, FolderProperties, bpy.types.Operator):  
 
 
 CLASSES = (SCANBACK_OT_fuse, SCANBACK_OT_estimate)
-
-
-def register() -> None:
-    """Add the operators."""
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
-
-
-def unregister() -> None:
-    """Take them away."""
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)
+register, unregister = bpy.utils.register_classes_factory(CLASSES)

@@ -138,7 +138,16 @@ class SCANBACK_OT_import_ply(bpy.types.Operator):  # noqa: N801
         return {"FINISHED"}
 
 
-class SCANBACK_FH_ply(bpy.types.FileHandler):  # noqa: N801
+class _Dropped:
+    """What can be dropped onto the viewport or the outliner."""
+
+    @classmethod
+    def poll_drop(cls, context: Any) -> bool:
+        """Tell whether this is a place to drop it."""
+        return context.area is not None and context.area.type in ("VIEW_3D", "OUTLINER")
+
+
+class SCANBACK_FH_ply(_Dropped, bpy.types.FileHandler):  # noqa: N801
     """Takes mesh files that are dropped onto the viewport."""
 
     bl_idname = "SCANBACK_FH_ply"
@@ -146,13 +155,8 @@ class SCANBACK_FH_ply(bpy.types.FileHandler):  # noqa: N801
     bl_import_operator = SCANBACK_OT_import_ply.bl_idname
     bl_file_extensions = ".ply"
 
-    @classmethod
-    def poll_drop(cls, context: Any) -> bool:
-        """Tell whether this is a place to drop it."""
-        return context.area is not None and context.area.type in ("VIEW_3D", "OUTLINER")
 
-
-class SCANBACK_FH_reconstruction(bpy.types.FileHandler):  # noqa: N801
+class SCANBACK_FH_reconstruction(_Dropped, bpy.types.FileHandler):  # noqa: N801
     """Takes reconstruction.json, which stands for its folder."""
 
     bl_idname = "SCANBACK_FH_reconstruction"
@@ -160,24 +164,14 @@ class SCANBACK_FH_reconstruction(bpy.types.FileHandler):  # noqa: N801
     bl_import_operator = SCANBACK_OT_import_reconstruction.bl_idname
     bl_file_extensions = ".json"
 
-    @classmethod
-    def poll_drop(cls, context: Any) -> bool:
-        """Tell whether this is a place to drop it."""
-        return context.area is not None and context.area.type in ("VIEW_3D", "OUTLINER")
 
-
-class SCANBACK_FH_dataset(bpy.types.FileHandler):  # noqa: N801
+class SCANBACK_FH_dataset(_Dropped, bpy.types.FileHandler):  # noqa: N801
     """Takes dataset.json, which stands for its folder."""
 
     bl_idname = "SCANBACK_FH_dataset"
     bl_label = "Scanback Dataset (dataset.json)"
     bl_import_operator = SCANBACK_OT_import_dataset.bl_idname
     bl_file_extensions = ".json"
-
-    @classmethod
-    def poll_drop(cls, context: Any) -> bool:
-        """Tell whether this is a place to drop it."""
-        return context.area is not None and context.area.type in ("VIEW_3D", "OUTLINER")
 
 
 def _import_work(scene: SceneReference, folder: Path, match_render_size: bool) -> Any:

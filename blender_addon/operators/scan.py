@@ -59,15 +59,4 @@ class SCANBACK_OT_resume_scan(JobOperator, FolderProperties, bpy.types.Operator)
 
 
 CLASSES = (SCANBACK_OT_scan, SCANBACK_OT_resume_scan)
-
-
-def register() -> None:
-    """Add the operators."""
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
-
-
-def unregister() -> None:
-    """Take them away."""
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)
+register, unregister = bpy.utils.register_classes_factory(CLASSES)

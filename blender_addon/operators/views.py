@@ -166,15 +166,4 @@ def _enter_camera_view(context: Any) -> None:
 
 
 CLASSES = (SCANBACK_OT_look_through, SCANBACK_OT_step_view, SCANBACK_OT_replay)
-
-
-def register() -> None:
-    """Add the operators."""
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
-
-
-def unregister() -> None:
-    """Take them away."""
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)
+register, unregister = bpy.utils.register_classes_factory(CLASSES)

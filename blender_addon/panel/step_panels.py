@@ -237,15 +237,4 @@ class SCANBACK_PT_compare(_StepPanel, bpy.types.Panel):  # type: ignore[misc]  #
 
 
 CLASSES = (SCANBACK_PT_job, SCANBACK_PT_scan, SCANBACK_PT_fuse, SCANBACK_PT_locate, SCANBACK_PT_compare)
-
-
-def register() -> None:
-    """Add the panels."""
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
-
-
-def unregister() -> None:
-    """Take them away."""
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)
+register, unregister = bpy.utils.register_classes_factory(CLASSES)
