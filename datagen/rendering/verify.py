@@ -80,18 +80,21 @@ def verify_dataset(
     tasks = [Task(kind="frame", frame=frame) for frame in chosen]
     advance = progress("Verifying", len(tasks))
     verdicts: list[FrameVerdict] = []
-    same_maker = False
+    same_maker, rendered = False, metadata.layers
     with tempfile.TemporaryDirectory(prefix="scanback-verify-") as name:
         again = Path(name)
         job = Job(scene=scene, folder=again, device=device)
         with render_workers(job, tasks, workers=workers, tell=tell) as reports:
             for report in reports:
                 if report.task is None:
-                    same_maker = _is_same_maker(folder, metadata, metadata_of(scene, report.content))
+                    now = metadata_of(scene, report.content)
+                    same_maker = _is_same_maker(folder, metadata, now)
+                    # What was made of the images afterwards, as by a sensor, is not rendered again.
+                    rendered = tuple(layer for layer in metadata.layers if layer in now.layers)
                     continue
                 frame = report.task.frame
-                files = frame_files(folder, metadata.layers, frame)
-                faults = _faults(files, frame_files(again, metadata.layers, frame), exact=same_maker)
+                files = frame_files(folder, rendered, frame)
+                faults = _faults(files, frame_files(again, rendered, frame), exact=same_maker)
                 verdicts.append(FrameVerdict(frame=frame, faults=tuple(faults)))
                 advance()
     return Verification(verdicts=tuple(sorted(verdicts, key=lambda verdict: verdict.frame)), same_maker=same_maker)

@@ -1,6 +1,7 @@
 """Renders to which something happens: death, disk full, power cut, two at once."""
 
 import os
+import shutil
 import subprocess
 import sys
 import time
@@ -19,6 +20,8 @@ from datagen.rendering.render_job import render_dataset
 from datagen.rendering.scratch import hold, make_scratch, remove_abandoned_scratch
 from datagen.rendering.shards import Shard, parse_shard
 from datagen.rendering.verify import verify_dataset
+from datagen.scene_spec.lens_settings import LensSettings
+from datagen.sensors.add_layers import add_lens_layers
 
 CHECKOUT = Path(datagen.__file__).parents[1]
 
@@ -276,8 +279,6 @@ def test_scratch_folders_of_the_dead_are_removed_and_those_of_the_living_are_not
 
 
 def test_verify_finds_nothing_wrong_with_what_was_rendered_and_names_what_was_changed(scene, whole, straight, tmp_path):
-    import shutil
-
     copy = tmp_path / "copy"
     shutil.copytree(straight, copy)
     rng = np.random.default_rng(0)
@@ -330,3 +331,12 @@ def test_a_frame_that_fails_twice_is_reported(scene, tmp_path, worker_with):
         render_dataset(scene, tmp_path / "dataset", tell=told.append)
     assert len(told) == 1
     assert open_dataset(tmp_path / "dataset").is_complete(0)
+
+
+def test_verify_leaves_aside_what_was_made_of_the_images_afterwards(whole, straight, tmp_path):
+    copy = shutil.copytree(straight, tmp_path / "copy")
+    assert "distorted_depth" not in open_dataset(copy).layers
+    add_lens_layers(open_dataset(copy), LensSettings(k1=-0.1))
+    assert "distorted_depth" in open_dataset(copy).layers
+    found = verify_dataset(copy, frames=1, rng=np.random.default_rng(0))
+    assert [verdict.faults for verdict in found.verdicts] == [()]
