@@ -95,6 +95,8 @@ def measure_color_alignment(
 ) -> ColorAlignment | None:
     """Register depth's edges with colour's over frames of colour (H, W, 3) and depth (H, W); None without edges.
 
+    Where the ends of surfaces do not tell, their creases are tried.
+
     For each offset, the colour differences across all of depth's edges are averaged, each saturating at strong ones;
     both differences are taken between the same two pixels, so that neither side is preferred. Pixels that depth loses
     at the edges move left and right, or upper and lower, edges of a surface against each other; an offset moves them

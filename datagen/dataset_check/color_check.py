@@ -82,8 +82,8 @@ def _inconsistent(consistency: PhotoConsistency) -> Finding:
     return Finding(
         kind="color-offset",
         severity="fault",
-        message=f"Colour lies beside depth by ({x:+.0f}, {y:+.0f}) px: there the same points have the same colour, "
-        f"as {consistency.pairs} pairs of images tell.",
+        message=f"Colour lies beside depth by about ({x:+.0f}, {y:+.0f}) px: there the same points have the same "
+        f"colour, as {consistency.pairs} pairs of images tell.",
         remedy=SHIFT_BACK,
         evidence={"offset_px": [x, y], "significance": consistency.significance, "pairs": consistency.pairs},
     )
