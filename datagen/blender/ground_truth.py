@@ -13,14 +13,14 @@ from datagen.atomic_write import write_bytes
 
 @dataclass(frozen=True, kw_only=True)
 class TriangleMesh:
-    """``vertices_world`` (V, 3) float64 metres and ``triangles`` (T, 3) int32, counter-clockwise from outside."""
+    """``vertices_world`` (V, 3) float64 and ``triangles`` (T, 3) int32, counter-clockwise from outside."""
 
     vertices_world: NDArray[np.float64]
     triangles: NDArray[np.int32]
 
 
 def evaluated_mesh() -> TriangleMesh:
-    """Return all mesh objects of Blender's current scene as one mesh, their modifiers applied."""
+    """Return all mesh objects of Blender's current scene as one mesh in its units, their modifiers applied."""
     depsgraph = bpy.context.evaluated_depsgraph_get()
     vertices, triangles, count = [], [], 0
     for instance in depsgraph.object_instances:
@@ -42,7 +42,7 @@ def evaluated_mesh() -> TriangleMesh:
     return TriangleMesh(vertices_world=np.concatenate(vertices), triangles=np.concatenate(triangles))
 
 
-def write_ply(path: Path, mesh: TriangleMesh) -> None:
-    """Write a mesh atomically as binary PLY."""
-    shape = trimesh.Trimesh(mesh.vertices_world, mesh.triangles, process=False)
+def write_ply(path: Path, mesh: TriangleMesh, *, metres_per_unit: float = 1.0) -> None:
+    """Write a mesh, whose unit is so many metres, atomically as binary PLY in metres."""
+    shape = trimesh.Trimesh(mesh.vertices_world * metres_per_unit, mesh.triangles, process=False)
     write_bytes(path, shape.export(file_type="ply", encoding="binary"))

@@ -52,7 +52,14 @@ def measure(path: Path) -> dict[str, Any]:
         "high": high,
         "is_lit": any(thing.type == "LIGHT" for thing in things) or _shines(bpy.context.scene.world),
         "camera": camera_settings(cameras[0], bpy.context.scene, low, high) if cameras else None,
+        "metres_per_unit": _metres_per_unit(bpy.context.scene) if path.suffix.lower() == ".blend" else 1.0,
     }
+
+
+def _metres_per_unit(scene: Any) -> float:
+    """Return how long a unit of Blender's is: what a .blend says of it counts where it has a system of units."""
+    units = scene.unit_settings
+    return 1.0 if units.system == "NONE" else float(f"{units.scale_length:.7g}")
 
 
 def _shines(world: Any) -> bool:

@@ -114,7 +114,8 @@ class RenderSession:
 
     def write_ground_truth(self, folder: Path) -> None:
         """Write the mesh of the whole scene into the dataset ``folder``."""
-        write_ply(folder / GROUND_TRUTH_FILE, evaluated_mesh())
+        unit = self.spec.render.metres_per_unit
+        write_ply(folder / GROUND_TRUTH_FILE, evaluated_mesh(), metres_per_unit=unit)
 
     def _pose(self, frame: int) -> Matrix:
         self.scene.frame_set(frame)

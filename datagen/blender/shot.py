@@ -1,5 +1,6 @@
 """A frame that Cycles has rendered, and what becomes of it: decoding, further layers, files.
 
+Blender's units become metres here, once: what is rendered is in the scene's units, what is written is in metres.
 Nothing here touches Blender, so that it runs in a thread while Blender renders the next frame.
 """
 
@@ -41,8 +42,9 @@ def write_shot(
 ) -> None:
     """Write a frame's files into the dataset ``folder``, the pose last; the shot's own files are deleted.
 
-    ``thin_triangles`` (K, 3, 3) are those whose depth single precision cannot hold.
+    ``thin_triangles`` (K, 3, 3) are those whose depth single precision cannot hold, in the scene's units.
     """
+    unit = spec.render.metres_per_unit
     rendered = _read_exact(shot.image, shot.world_from_camera, spec, camera, thin_triangles)
     layers = _layers(shot, rendered, spec=spec, camera=camera)
     if shot.right_image is not None:
@@ -51,16 +53,26 @@ def write_shot(
         left_from_right[0, 3] = spec.camera.stereo_baseline
         world_from_right = shot.world_from_camera @ left_from_right
         right = _read_exact(shot.right_image, world_from_right, spec, camera, thin_triangles)
-        layers |= {"right_color": right.color, "right_depth": right.depth}
+        layers |= {"right_color": right.color, "right_depth": _in_metres(right.depth, unit)}
     write_frame(
         folder / FRAMES_FOLDER,
         shot.frame,
         color=rendered.color,
-        depth=rendered.depth,
-        world_from_camera=rendered.world_from_camera,
+        depth=_in_metres(rendered.depth, unit),
+        world_from_camera=_pose_in_metres(rendered.world_from_camera, unit),
         depth_scale=spec.render.depth_scale,
         layers=layers,
     )
+
+
+def _in_metres(lengths: NDArray[np.float32], metres_per_unit: float) -> NDArray[np.float32]:
+    return lengths if metres_per_unit == 1 else (lengths.astype(np.float64) * metres_per_unit).astype(np.float32)
+
+
+def _pose_in_metres(world_from_camera: Matrix, metres_per_unit: float) -> Matrix:
+    pose = world_from_camera.copy()
+    pose[:3, 3] *= metres_per_unit
+    return pose
 
 
 def _read_exact(
@@ -83,4 +95,5 @@ def _layers(shot: Shot, rendered: RenderedFrame, *, spec: Scene, camera: Pinhole
         layers["masks"] = rendered.object_index
     if "flow" in spec.render.layers:
         layers["flow"] = optical_flow(depth, camera, world_from_camera=pose, world_from_next=shot.world_from_next)
-    return layers | extra_layers(spec, shot.frame, rendered.color, depth, camera)
+    metres = _in_metres(depth, spec.render.metres_per_unit)
+    return layers | extra_layers(spec, shot.frame, rendered.color, metres, camera)

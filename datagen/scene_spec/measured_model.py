@@ -17,15 +17,17 @@ MEASURING_MODULE = "datagen.blender.measure"
 class MeasuredModel:
     """How large a model is and what it brings.
 
-    ``low`` and ``high`` are the corners of its bounding box, metres, z up. ``is_lit`` tells whether a .blend has lights
-    or a world that shines; ``camera`` has the settings of its camera for a scene file, with ``frames``, ``size``,
-    ``frames_per_second`` and ``farthest``, the largest distance to the bounding box along its path (None: no camera).
+    ``low`` and ``high`` are the corners of its bounding box, z up, in its units of ``metres_per_unit``, as all lengths
+    here. ``is_lit`` tells whether a .blend has lights or a world that shines; ``camera`` has the settings of its camera
+    for a scene file, with ``frames``, ``size``, ``frames_per_second`` and ``farthest``, the largest distance to the
+    bounding box along its path (None: no camera).
     """
 
     low: tuple[float, float, float]
     high: tuple[float, float, float]
     is_lit: bool
     camera: dict[str, Any] | None
+    metres_per_unit: float
 
     @property
     def center(self) -> tuple[float, float, float]:
@@ -54,4 +56,10 @@ def measure_model(path: Path) -> MeasuredModel:
     if "error" in answer:
         raise InputError(answer["error"])
     low, high = tuple(answer["low"]), tuple(answer["high"])
-    return MeasuredModel(low=low, high=high, is_lit=answer["is_lit"], camera=answer["camera"])
+    return MeasuredModel(
+        low=low,
+        high=high,
+        is_lit=answer["is_lit"],
+        camera=answer["camera"],
+        metres_per_unit=answer["metres_per_unit"],
+    )

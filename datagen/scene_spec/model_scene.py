@@ -38,9 +38,10 @@ def scene_of_model(path: Path) -> dict[str, Any]:
     else:
         content["objects"] = [{"name": "model", "file": str(path)}]
         lights = _lights(measured)
-    distance = CAMERA_DISTANCE * measured.radius
+    distance, unit = CAMERA_DISTANCE * measured.radius, measured.metres_per_unit
+    farthest = distance + measured.radius
     return content | {
-        "render": {"depth_scale": depth_scale_for(distance + measured.radius)},
+        "render": {"depth_scale": depth_scale_for(farthest, unit), "metres_per_unit": unit},
         "camera": {"clip_start": max(0.01 * distance, 1e-4), "clip_end": max(100 * distance, 1.0)},
         "keyframes": two_turns(measured.center, distance),
         **lights,
@@ -52,13 +53,17 @@ def own_camera(measured: MeasuredModel) -> dict[str, Any]:
     assert measured.camera is not None
     camera = dict(measured.camera)
     render = {key: camera.pop(key) for key in ("frames", "size", "frames_per_second")}
-    render["depth_scale"] = depth_scale_for(min(camera.pop("farthest"), camera["clip_end"]))
+    render["metres_per_unit"] = unit = measured.metres_per_unit
+    render["depth_scale"] = depth_scale_for(min(camera.pop("farthest"), camera["clip_end"]), unit)
     return {"render": render, "camera": camera, "trajectory": {"type": "blend-camera"}}
 
 
-def depth_scale_for(farthest: float) -> float:
-    """Return metres a step, 1, 2 or 5 times a power of ten, at which a depth of ``farthest`` metres fits 16 bits."""
-    needed = max(farthest / DEPTH_STEPS, FINEST_DEPTH_SCALE)
+def depth_scale_for(farthest: float, metres_per_unit: float = 1.0) -> float:
+    """Return metres a step, 1, 2 or 5 times a power of ten, at which a depth of ``farthest`` units fits 16 bits.
+
+    It is no finer than ``FINEST_DEPTH_SCALE``, of a unit where that is shorter than a metre.
+    """
+    needed = max(farthest / DEPTH_STEPS * metres_per_unit, FINEST_DEPTH_SCALE * min(metres_per_unit, 1.0))
     power = 10.0 ** math.floor(math.log10(needed) + 1e-9)
     return float(f"{next(step * power for step in (1, 2, 5, 10) if step * power >= needed * (1 - 1e-9)):.1g}")
 

@@ -26,6 +26,8 @@ class RenderSettings(Spec):
     ``depth_scale`` is metres per step of the 16-bit depth images, so 65534 steps must reach the farthest surface;
     ``bounces`` limits light paths; ``denoise`` runs OpenImageDenoise in its fast mode on the colours, never on depth.
     ``layers`` are written beside colour and depth: geometric normals, object masks, optical flow to the next frame.
+    ``metres_per_unit`` is how long a unit of the scene is, for a .blend that is not in metres: all of the scene file's
+    lengths are in that unit then (speeds too), and what is written (depths, poses, ground truth) is in metres.
     """
 
     frames: int = Field(default=60, ge=1, le=1_000_000)
@@ -38,6 +40,7 @@ class RenderSettings(Spec):
     denoise: bool = True
     denoise_guided: bool = True
     layers: tuple[RenderedLayer, ...] = Field(default=(), strict=False)
+    metres_per_unit: Positive = 1.0
 
     @field_validator("layers")
     @classmethod

@@ -8,6 +8,7 @@ import pytest
 import trimesh
 
 from datagen.errors import InputError
+from datagen.images import read_depth
 from datagen.rigid import inverse
 from datagen.scene_spec.scene_files import load_scene, read_scene, with_render_settings
 
@@ -325,3 +326,36 @@ def test_a_changed_file_is_another_recipe(foreign, tmp_path):
     key, before, now = first_difference(*recipes)
     assert key == "blend.sha256"
     assert before != now
+
+
+def test_a_scene_in_centimetres_is_written_in_metres(foreign, open_session, tmp_path):
+    """A cube two units wide seen from six units away, where a unit is a centimetre."""
+
+    def build(bpy, scene):
+        scene.unit_settings.scale_length = 0.01
+        cube(bpy, size=2)
+
+    session = opened(open_session, foreign(build))
+    assert session.spec.render.metres_per_unit == 0.01
+    session.write_frame(tmp_path / "out", 0)
+    scale, frame = session.spec.render.depth_scale, tmp_path / "out" / "frames" / "frame-000000"
+    assert 0.08 <= 65535 * scale <= 0.5  # it has room for the cube's far corner, and few steps are wasted
+    depth = read_depth(frame.with_suffix(".depth.png"), size=(64, 48), metres_per_step=scale)
+    np.testing.assert_allclose(np.unique(depth), (0, 0.05), atol=scale)
+    pose = np.loadtxt(frame.with_suffix(".pose.txt"))
+    np.testing.assert_allclose(pose[:3, 3], (0, -0.06, 0), atol=1e-8)
+    np.testing.assert_allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-12)
+    (truth,) = pieces(session, tmp_path / "out")
+    np.testing.assert_allclose(truth.bounds, [[-0.01] * 3, [0.01] * 3], atol=1e-8)
+
+
+def test_without_a_system_of_units_a_unit_is_a_metre(foreign, blender):
+    from datagen.blender.measure import measure
+
+    for system, expected in (("NONE", 1.0), ("METRIC", 1e-3), ("IMPERIAL", 1e-3)):
+
+        def build(bpy, scene, system=system):
+            scene.unit_settings.system, scene.unit_settings.scale_length = system, 1e-3
+            cube(bpy)
+
+        assert measure(foreign(build))["metres_per_unit"] == expected
