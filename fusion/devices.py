@@ -79,30 +79,68 @@ def launch_in_slabs(
     not write to the same place: Warp's atomics are not atomic across CPU launches. Where a thread does little, a slab
     of fewer than ``least_slab`` is not worth a launch.
     """
-    if dim == 0:
-        return
-    if device.is_cuda:
-        wp.launch(kernel, dim=dim, inputs=[0, *inputs], outputs=outputs, device=device, block_dim=block_dim)
-        return
-    # Loaded before the pool begins, or each thread would compile it.
-    wp.load_module(kernel.module, device=device)
-    # Several slabs a core, so that a core which is done early takes over work.
-    slab = max(-(-dim // (8 * _core_count())), least_slab)
-    if dim <= slab:
-        wp.launch(kernel, dim=dim, inputs=[0, *inputs], outputs=outputs, device=device)
-        return
-    firsts = iter(range(0, dim, slab))
+    if dim > 0:
+        SlabLaunch(
+            kernel,
+            dim=dim,
+            inputs=inputs,
+            outputs=outputs,
+            device=device,
+            block_dim=block_dim,
+            least_slab=least_slab,
+        ).run()
 
-    def work() -> None:
-        # A recorded launch is cheaper than another one.
-        command = wp.launch(kernel, dim=slab, inputs=[0, *inputs], outputs=outputs, device=device, record_cmd=True)
-        for first in firsts:
-            command.set_param_at_index(0, first)
-            if dim - first < slab:
-                command.set_dim(dim - first)
-            command.launch()
 
-    _on_all_cores(work, tasks=-(-dim // slab))
+class SlabLaunch:
+    """A launch over [0, dim), dim > 0, that can be made again and again: its arguments are packed once.
+
+    They are those of ``launch_in_slabs``; what lies in their arrays is read each time that it runs.
+    """
+
+    def __init__(
+        self,
+        kernel: Kernel,
+        *,
+        dim: int,
+        inputs: list[Any],
+        outputs: list[Any],
+        device: Device,
+        block_dim: int = 256,
+        least_slab: int = 1,
+    ) -> None:
+        # Loaded before the pool begins, or each thread would compile it.
+        wp.load_module(kernel.module, device=device)
+        cores = 1 if device.is_cuda else _core_count()
+        # Several slabs a core, so that a core which is done early takes over work.
+        self._slab = dim if device.is_cuda else min(max(-(-dim // (8 * cores)), least_slab), dim)
+        self._dim = dim
+        self._commands = [
+            wp.launch(
+                kernel,
+                dim=self._slab,
+                inputs=[0, *inputs],
+                outputs=outputs,
+                device=device,
+                block_dim=block_dim if device.is_cuda else None,
+                record_cmd=True,
+            )
+            for _ in range(min(cores, -(-dim // self._slab)))
+        ]
+
+    def run(self) -> None:
+        """Launch the kernel, and on the CPU wait until it is done."""
+        firsts = iter(range(0, self._dim, self._slab))
+        idle = list(self._commands)
+
+        def work() -> None:
+            command = idle.pop()  # each thread has its own: a command holds the slab that it is at
+            for first in firsts:
+                command.set_param_at_index(0, first)
+                if self._dim % self._slab:
+                    command.set_dim(min(self._slab, self._dim - first))
+                command.launch()
+
+        _on_all_cores(work, tasks=len(self._commands))
 
 
 def map_on_cores(function: Callable[[_Item], None], items: Sequence[_Item]) -> None:

@@ -8,8 +8,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from datagen.camera import PinholeCamera
-from datagen.rigid import Matrix
-from fusion.devices import launch_in_slabs
+from fusion.devices import SlabLaunch
 from fusion.pose.coverage_kernel import FieldCell, NearestApproach, distance_at
 from fusion.pose.model_field import ModelField, corners_in_volume, grid_terms, sample_field, sample_grid
 from fusion.pose.pose_model import PoseModel
@@ -43,6 +42,33 @@ def box_times(field: ModelField, origin: wp.vec3, ray: wp.vec3) -> wp.vec2:
 
 
 @wp.func
+def grid_distance(field: ModelField, point: wp.vec3) -> float:
+    """Return the distance that the grid has at a local point, metres, without its slope; NOWHERE off the grid."""
+    scaled = field.nodes_per_metre * (point - field.grid_origin)
+    x = int(wp.floor(scaled[0]))
+    y = int(wp.floor(scaled[1]))
+    z = int(wp.floor(scaled[2]))
+    if x < 0 or y < 0 or z < 0:
+        return _NOWHERE
+    if x > field.grid.shape[0] - 2 or y > field.grid.shape[1] - 2 or z > field.grid.shape[2] - 2:
+        return _NOWHERE
+    a = scaled[0] - float(x)
+    b = scaled[1] - float(y)
+    c = scaled[2] - float(z)
+    near = wp.lerp(
+        wp.lerp(field.grid[x, y, z], field.grid[x + 1, y, z], a),
+        wp.lerp(field.grid[x, y + 1, z], field.grid[x + 1, y + 1, z], a),
+        b,
+    )
+    far = wp.lerp(
+        wp.lerp(field.grid[x, y, z + 1], field.grid[x + 1, y, z + 1], a),
+        wp.lerp(field.grid[x, y + 1, z + 1], field.grid[x + 1, y + 1, z + 1], a),
+        b,
+    )
+    return wp.lerp(near, far, c)
+
+
+@wp.func
 def nearest_on_grid(field: ModelField, origin: wp.vec3, ray: wp.vec3, enough: float) -> float:
     """Return the time, metres of planar depth, when a ray comes nearest to the surface as seen in pixels; −1: never.
 
@@ -56,14 +82,16 @@ def nearest_on_grid(field: ModelField, origin: wp.vec3, ray: wp.vec3, enough: fl
     least = float(_NOWHERE)
     step = int(0)
     while t < times[1] and step < _MOST_STEPS and least > -enough:
-        sample = sample_grid(field, origin + t * ray)
+        point = origin + t * ray
+        distance = grid_distance(field, point)
         ahead = 1.0 / field.nodes_per_metre
-        if sample.source != 0:
-            seen = sample.distance / t
-            if seen < least:
+        if distance < _NOWHERE:
+            seen = distance / t
+            # Only what comes nearer than all before is asked for its slope: without one there is no side to be on.
+            if seen < least and sample_grid(field, point).source != 0:
                 least = seen
                 best = t
-            ahead = wp.max(ahead, 0.9 * sample.distance)
+            ahead = wp.max(ahead, 0.9 * distance)
         t += ahead / speed
         step += 1
     return best
@@ -174,18 +202,21 @@ def _find_approaches(
     field: ModelField,
     pixels: wp.array(dtype=wp.vec2),
     intrinsics: wp.vec4,
-    rotation: wp.mat33,
-    origin: wp.vec3,
+    rotations: wp.array(dtype=wp.mat33),
+    origins: wp.array(dtype=wp.vec3),
     fine_within_px: float,
+    reach_px: float,
     approaches: wp.array(dtype=NearestApproach),
     edges_px: wp.array(dtype=float),
     slopes: wp.array(dtype=wp.vec2),
 ) -> None:
     index = wp.tid() + first
-    pixel = pixels[index]
+    pose = index / pixels.shape[0]
+    pixel = pixels[index % pixels.shape[0]]
     x = (pixel[0] - intrinsics[2]) / intrinsics[0]
     y = (pixel[1] - intrinsics[3]) / intrinsics[1]
-    ray = rotation * wp.vec3(x, y, 1.0)
+    ray = rotations[pose] * wp.vec3(x, y, 1.0)
+    origin = origins[pose]
     focal = 0.5 * (intrinsics[0] + intrinsics[1])
     t = nearest_on_grid(field, origin, ray, 1.0 / field.nodes_per_metre)
     found = NearestApproach()
@@ -198,50 +229,62 @@ def _find_approaches(
             t = nearest_about(field, origin, ray, t)
             apart = 0.5 / (field.voxels_per_metre * wp.length(ray))
         sample = sample_field(field, origin + t * ray)
-        edge = focal * sample.distance / t
         if sample.source != 0:
+            edge = focal * sample.distance / t
             edges_px[index] = edge
-            across = wp.transpose(rotation) * sample.normal
+            across = wp.transpose(rotations[pose]) * sample.normal
             slopes[index] = focal * wp.vec2(across[0] / intrinsics[0], across[1] / intrinsics[1])
-        # Within the silhouette the pixels beside it tell.
-        if sample.source != 0 and edge >= 0.0:
-            found = approach_about(field, origin, ray, t, apart)
-            found.pixels_per_metre = focal * found.pixels_per_metre
+            # Within the silhouette the pixels beside it tell; far from it nothing changes.
+            if edge >= 0.0 and edge < reach_px:
+                found = approach_about(field, origin, ray, t, apart)
+                found.pixels_per_metre = focal * found.pixels_per_metre
     approaches[index] = found
 
 
-def nearest_approaches(
-    model: PoseModel,
-    camera: PinholeCamera,
-    pixels: NDArray[np.floating],
-    world_from_camera: Matrix,
-    *,
-    fine_within_px: float,
-) -> tuple[wp.array, wp.array, wp.array]:
-    """Return where the rays of ``pixels`` (n, 2) of ``camera`` come nearest: three arrays (n,) on the model's device.
+class ApproachFinder:
+    """Finds where the rays of n pixels come nearest to a model, from k poses at a time, in arrays that are kept.
 
-    They are their ``NearestApproach``; distances from the silhouette's edge in pixels, and as exact as the volume where
-    they are less than ``fine_within_px``; and slopes, vec2, by which these grow along u and v. The distance is negative
-    where a ray meets the model: how far is not told, nor is the approach. It is NOWHERE where a ray comes near nowhere.
+    After ``find`` the arrays (k · n,), pose by pose, on the model's device, hold: ``approaches`` the pixels'
+    ``NearestApproach``; ``edges_px`` distances from the silhouette's edge, as exact as the volume where they are less
+    than ``fine_within_px``; ``slopes``, vec2, by which these grow along u and v. The distance is negative where a ray
+    meets the model: how far is not told, nor is the approach, nor is that of a ray that stays ``reach_px`` away. It is
+    NOWHERE where a ray comes near nowhere.
     """
-    device = model.device
-    local = model.local(world_from_camera)
-    approaches = wp.empty(len(pixels), dtype=NearestApproach, device=device)
-    edges_px = wp.empty(len(pixels), dtype=float, device=device)
-    slopes = wp.empty(len(pixels), dtype=wp.vec2, device=device)
-    launch_in_slabs(
-        _find_approaches,
-        dim=len(pixels),
-        inputs=[
-            model.field,
-            wp.array(np.asarray(pixels, np.float32), dtype=wp.vec2, device=device),
-            wp.vec4(camera.fx, camera.fy, camera.cx, camera.cy),
-            wp.mat33(*local[:3, :3].ravel().tolist()),
-            wp.vec3(*local[:3, 3].tolist()),
-            fine_within_px,
-        ],
-        outputs=[approaches, edges_px, slopes],
-        device=device,
-        least_slab=128,
-    )
-    return approaches, edges_px, slopes
+
+    def __init__(
+        self,
+        model: PoseModel,
+        camera: PinholeCamera,
+        pixels: NDArray[np.floating],
+        *,
+        poses: int,
+        fine_within_px: float,
+        reach_px: float,
+    ) -> None:
+        device, size = model.device, poses * len(pixels)
+        self._model = model
+        self._rotations = wp.zeros(poses, dtype=wp.mat33, device=device)
+        self._origins = wp.zeros(poses, dtype=wp.vec3, device=device)
+        self.approaches = wp.zeros(size, dtype=NearestApproach, device=device)
+        self.edges_px = wp.zeros(size, dtype=float, device=device)
+        self.slopes = wp.zeros(size, dtype=wp.vec2, device=device)
+        self._launch = SlabLaunch(
+            _find_approaches,
+            dim=size,
+            inputs=[
+                model.field,
+                wp.array(np.asarray(pixels, np.float32), dtype=wp.vec2, device=device),
+                wp.vec4(camera.fx, camera.fy, camera.cx, camera.cy),
+                *(self._rotations, self._origins, fine_within_px, reach_px),
+            ],
+            outputs=[self.approaches, self.edges_px, self.slopes],
+            device=device,
+            least_slab=128,
+        )
+
+    def find(self, world_from_camera: NDArray[np.float64]) -> None:
+        """Look from poses (k, 4, 4)."""
+        local = self._model.local(world_from_camera)
+        self._rotations.assign(local[:, :3, :3].astype(np.float32))
+        self._origins.assign(local[:, :3, 3].astype(np.float32))
+        self._launch.run()

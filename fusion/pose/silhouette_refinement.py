@@ -5,13 +5,12 @@ which is right to fractions of a pixel though the mask is not. From a wide blur 
 size, Gauss–Newton with the tape's Jacobian moves the pose on SE(3). An outline that something hides is an outlier.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.camera import PinholeCamera
 from datagen.rigid import Matrix, inverse, rigid, transform_points
 from fusion.pose.levenberg_marquardt import Descent, descend
 from fusion.pose.normal_equations import Normals
@@ -20,17 +19,21 @@ from fusion.pose.query import Query
 from fusion.pose.refinement import Refinement, declined
 from fusion.pose.se3 import perturb
 from fusion.pose.silhouette_target import Level, outline_length, silhouette_from_depth, silhouette_levels
-from fusion.pose.soft_silhouette import soft_silhouette
+from fusion.pose.soft_silhouette import SilhouetteRenderer, SoftSilhouette
 from fusion.pose.starting_poses import TURN_BY_OUTLINE_DEG, ring_of_turns
-from fusion.pose.uncertainty import uncertainty
+from fusion.pose.uncertainty import Uncertainty, clustered_uncertainty
 
 FEWEST_PIXELS = 50
-_LEAST_COVERAGE_SPREAD = 0.02
-"""Coverage of a pixel is not known better than this: the mask is made of whole pixels."""
 _KEPT_STARTS = 2
 _GOOD_IOU = 0.9
 _EDGE_NOISE_PX = 0.3
 """Standard deviation of a mask's edge, which lies anywhere between two pixels' centres: 1/√12, rounded up."""
+_CLUSTERS_ACROSS = 6
+"""Of the outline's box: along so much of it a mask's and a model's errors are alike."""
+_SHIFTED_BY, _COMPARED_BY = 0, 1
+"""Levels with all of their image's pixels: one to shift the model onto the mask, one to tell how well it fits."""
+
+Poses = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,51 +46,67 @@ class SilhouetteRefinementOptions:
     starts: Literal["auto", "one", "many"] = "auto"
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
 class _Problem:
-    """A mask against a model, with the point that the pose turns about and the model's size, metres."""
+    """A mask against a model at all levels; poses turn about ``pivot_world``, ``radius`` metres is the model's size."""
 
-    model: PoseModel
-    mask: NDArray[np.bool_]
-    camera: PinholeCamera
-    pivot_world: NDArray[np.float64]
-    radius: float
+    def __init__(self, model: PoseModel, levels: list[Level]) -> None:
+        self.model, self.levels = model, levels
+        self.pivot_world, self.radius = model.centre_world, 0.3 * model.diameter
+        self._renderers: dict[tuple[int, int], SilhouetteRenderer] = {}
 
-    def normals(self, level: Level, pose: Matrix) -> Normals:
-        """Return the normal equations of one pose; residuals are shares of coverage."""
-        seen = soft_silhouette(
-            self.model,
-            level.camera,
-            level.pixels,
-            pose,
-            softness_px=level.softness_px,
-            pivot_world=self.pivot_world,
-        )
-        residuals = seen.coverage - level.target
-        # Geman and McClure's kernel: an edge that is off by more than about σ counts less and less.
-        scale = max(0.4, 2 * float(np.sqrt(np.mean(residuals**2))))
-        share = (residuals / scale) ** 2
-        weights = 1 / (1 + share) ** 2
-        weighted = weights[:, None] * seen.jacobian
+    def see(self, number: int, poses: Poses, *, with_jacobian: bool = False) -> SoftSilhouette:
+        """Return the model's soft silhouette at a level's pixels, from poses (k, 4, 4)."""
+        level = self.levels[number]
+        if (number, len(poses)) not in self._renderers:
+            self._renderers[number, len(poses)] = SilhouetteRenderer(
+                self.model,
+                level.camera,
+                level.pixels,
+                softness_px=level.softness_px,
+                pivot_world=self.pivot_world,
+                poses=len(poses),
+            )
+        return self._renderers[number, len(poses)].render(poses, with_jacobian=with_jacobian)
+
+    def normals(self, number: int, poses: Poses) -> Normals:
+        """Return the normal equations of poses (k, 4, 4); residuals are shares of coverage."""
+        seen = self.see(number, poses, with_jacobian=True)
+        assert seen.jacobian is not None
+        residuals = seen.coverage - self.levels[number].target
+        weights, costs = _robust(residuals)
+        weighted = weights[..., None] * seen.jacobian
         return Normals(
-            hessian=(weighted.T @ seen.jacobian)[None],
-            gradient=(weighted.T @ residuals)[None],
-            cost=np.array([float(np.mean(0.5 * scale**2 * share / (1 + share)))]),
-            known=np.array([float(np.isfinite(seen.edge_px).mean())]),
-            inliers=np.array([float((np.abs(residuals) < 0.25).mean())]),
-            weight=np.array([float(weights.sum())]),
-            squares=np.array([float((weights * residuals**2).sum())]),
+            hessian=np.swapaxes(weighted, 1, 2) @ seen.jacobian,
+            gradient=(weighted * residuals[..., None]).sum(axis=1),
+            cost=costs.mean(axis=1),
+            known=np.isfinite(seen.edge_px).mean(axis=1),
+            inliers=(np.abs(residuals) < 0.25).mean(axis=1),
+            weight=weights.sum(axis=1),
+            squares=(weights * residuals**2).sum(axis=1),
         )
 
-    def descend(self, level: Level, pose: Matrix) -> Descent:
+    def descend(self, number: int, poses: Poses) -> Descent:
+        level = self.levels[number]
         return descend(
-            lambda poses: self.normals(level, poses[0]),
-            pose[None],
+            lambda at: self.normals(number, at),
+            poses,
             pivot_world=self.pivot_world,
             radius_m=self.radius,
             iterations=level.iterations,
             enough_m=level.enough * self.model.diameter,
         )
+
+    def overlaps(self, number: int, poses: Poses) -> NDArray[np.float64]:
+        """Return the intersections over union (k,) of the silhouettes, at a level that has all pixels."""
+        ours, theirs = self.see(number, poses).coverage > 0.5, self.levels[number].target > 0.5
+        return (ours & theirs).sum(axis=1) / np.maximum((ours | theirs).sum(axis=1), 1)
+
+
+def _robust(residuals: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return weights and costs (k, n): by Geman and McClure's kernel an edge that is off by more than σ counts less."""
+    scale = np.maximum(0.4, 2 * np.sqrt(np.mean(residuals**2, axis=1, keepdims=True)))
+    share = (residuals / scale) ** 2
+    return 1 / (1 + share) ** 2, 0.5 * scale**2 * share / (1 + share)
 
 
 def refine_with_silhouette(
@@ -113,124 +132,126 @@ def refine_with_silhouette(
         return declined("silhouette", start, reason, used=count, unit="px")
     if outline_length(mask) < FEWEST_PIXELS:
         return declined("silhouette", start, "the mask's outline is not in the image", used=count, unit="px")
-    problem = _Problem(
-        model=model,
-        mask=mask,
-        camera=query.camera,
-        pivot_world=model.centre_world,
-        radius=0.3 * model.diameter,
-    )
-    levels = silhouette_levels(mask, query.camera)
-    best: tuple[float, Matrix, Descent] | None = None
+    problem = _Problem(model, silhouette_levels(mask, query.camera))
+    best: _Found | None = None
     if options.starts != "many":
-        best = _from_one(problem, levels, start)
-    if best is None or (options.starts == "auto" and best[0] < _GOOD_IOU):
-        found = _from_many(problem, levels, start)
-        best = found if best is None or found[0] > best[0] + 0.01 else best
-    return _result(problem, levels[-1], best, start)
+        best = _from_one(problem, start)
+    if best is None or (options.starts == "auto" and best.overlap < _GOOD_IOU):
+        found = _from_many(problem, start)
+        best = found if best is None or found.overlap > best.overlap + 0.01 else best
+    return _result(problem, best, start, px_a_level_px=query.camera.fx / problem.levels[-1].camera.fx)
 
 
-def _from_one(problem: _Problem, levels: list[Level], start: Matrix) -> tuple[float, Matrix, Descent]:
-    """Descend through all levels; returns the overlap, the pose and the last descent."""
-    pose = start
-    if _overlap(problem, levels[0], pose) < 0.5:
-        pose = _shifted_onto_mask(problem, levels[0], pose)
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Found:
+    """Where a start led to: the overlap of the silhouettes, the pose, the iterations and the last step, metres."""
+
+    overlap: float
+    pose: Matrix
+    iterations: int
+    last_step_m: float
+
+
+def _from_one(problem: _Problem, start: Matrix) -> _Found:
+    poses = start[None]
+    if problem.overlaps(_SHIFTED_BY, poses)[0] < 0.5:
+        poses = _shifted_onto_mask(problem, poses)
+    return _through_levels(problem, poses)
+
+
+def _from_many(problem: _Problem, start: Matrix) -> _Found:
+    """Descend the coarsest level from many starts, and all levels from the best of them."""
+    shifted = _shifted_onto_mask(problem, start[None])[0]
+    poses = perturb(ring_of_turns(TURN_BY_OUTLINE_DEG), shifted, pivot_world=problem.pivot_world)
+    poses = problem.descend(_SHIFTED_BY, _shifted_onto_mask(problem, poses)).poses
+    order = np.argsort(-problem.overlaps(_COMPARED_BY, poses), kind="stable")
+    return _through_levels(problem, poses[order[:_KEPT_STARTS]])
+
+
+def _through_levels(problem: _Problem, poses: Poses) -> _Found:
+    """Descend poses (k, 4, 4) through all levels; returns the one that fits best."""
     spent = 0
-    for level in levels:
-        found = problem.descend(level, pose)
-        pose, spent = found.poses[0], spent + found.iterations
-    return _overlap(problem, levels[1], pose), pose, replace(found, iterations=spent)
-
-
-def _from_many(problem: _Problem, levels: list[Level], start: Matrix) -> tuple[float, Matrix, Descent]:
-    """Descend the coarse levels from many starts, and all levels from the best of them."""
-    twists = ring_of_turns(TURN_BY_OUTLINE_DEG)
-    shifted = _shifted_onto_mask(problem, levels[0], start)
-    candidates = []
-    for pose in perturb(twists, shifted, pivot_world=problem.pivot_world):
-        found = problem.descend(levels[0], _shifted_onto_mask(problem, levels[0], pose))
-        candidates.append((_overlap(problem, levels[1], found.poses[0]), found.poses[0]))
-    candidates.sort(key=lambda candidate: -candidate[0])
-    return max((_from_one(problem, levels, pose) for _, pose in candidates[:_KEPT_STARTS]), key=lambda found: found[0])
-
-
-def _coverage(problem: _Problem, level: Level, pose: Matrix) -> NDArray[np.float64]:
-    return soft_silhouette(
-        problem.model,
-        level.camera,
-        level.pixels,
-        pose,
-        softness_px=level.softness_px,
-        pivot_world=problem.pivot_world,
-        with_jacobian=False,
-    ).coverage
-
-
-def _overlap(problem: _Problem, level: Level, pose: Matrix) -> float:
-    """Return the intersection over union of the silhouettes at a level that has all pixels."""
-    ours, theirs = _coverage(problem, level, pose) > 0.5, level.target > 0.5
-    return float((ours & theirs).sum() / max((ours | theirs).sum(), 1))
-
-
-def _shifted_onto_mask(problem: _Problem, level: Level, pose: Matrix) -> Matrix:
-    """Shift the camera so that the silhouette's middle and area become the mask's."""
-    for _step in range(2):
-        covered = _coverage(problem, level, pose)
-        middle_camera = transform_points(inverse(pose), problem.pivot_world)
-        target = np.average(level.pixels, axis=0, weights=level.target)
-        camera = level.camera
-        if covered.sum() < 1 or middle_camera[2] <= 0:
-            # The model is not in the image: its middle goes onto the mask's, as far away as it is.
-            seen, zoom = camera.project(np.array([0.0, 0.0, 1.0])), 1.0
-            middle_camera = np.array([0.0, 0.0, np.linalg.norm(middle_camera)])
-        else:
-            seen = np.average(level.pixels, axis=0, weights=covered)
-            zoom = float(np.clip(np.sqrt(covered.sum() / level.target.sum()), 0.5, 2.0))
-        z = middle_camera[2]
-        wanted = middle_camera * zoom
-        wanted[:2] += (target - seen) * z * zoom / np.array([camera.fx, camera.fy])
-        moved = pose.copy()
-        moved[:3, 3] = problem.pivot_world - pose[:3, :3] @ wanted
-        pose = moved
-    return pose
-
-
-def _result(problem: _Problem, level: Level, best: tuple[float, Matrix, Descent], start: Matrix) -> Refinement:
-    """Return what was found, with its uncertainty in pixels of the finest level."""
-    overlap, pose, found = best
-    seen = soft_silhouette(
-        problem.model,
-        level.camera,
-        level.pixels,
-        pose,
-        softness_px=level.softness_px,
-        pivot_world=problem.pivot_world,
-        with_jacobian=False,
+    for number in range(len(problem.levels)):
+        descent = problem.descend(number, poses)
+        poses, spent = descent.poses, spent + descent.iterations
+    overlaps = problem.overlaps(_COMPARED_BY, poses)
+    best = int(overlaps.argmax())
+    return _Found(
+        overlap=float(overlaps[best]),
+        pose=poses[best],
+        iterations=spent,
+        last_step_m=float(descent.last_steps_m[best]),
     )
-    step = problem.camera.fx / level.camera.fx
+
+
+def _shifted_onto_mask(problem: _Problem, poses: Poses) -> Poses:
+    """Shift the cameras (k, 4, 4) so that the silhouette's middle and area become the mask's."""
+    level = problem.levels[_SHIFTED_BY]
+    for _step in range(2):
+        coverage = problem.see(_SHIFTED_BY, poses).coverage
+        poses = np.stack([_shifted(problem, level, *one) for one in zip(poses, coverage, strict=True)])
+    return poses
+
+
+def _shifted(problem: _Problem, level: Level, pose: Matrix, covered: NDArray[np.float64]) -> Matrix:
+    """Return a pose shifted by what the pixels that it covers (n,) are off the mask."""
+    middle_camera = transform_points(inverse(pose), problem.pivot_world)
+    target = np.average(level.pixels, axis=0, weights=level.target)
+    camera = level.camera
+    if covered.sum() < 1 or middle_camera[2] <= 0:
+        # The model is not in the image: its middle goes onto the mask's, as far away as it is.
+        seen, zoom = camera.project(np.array([0.0, 0.0, 1.0])), 1.0
+        middle_camera = np.array([0.0, 0.0, np.linalg.norm(middle_camera)])
+    else:
+        seen = np.average(level.pixels, axis=0, weights=covered)
+        zoom = float(np.clip(np.sqrt(covered.sum() / level.target.sum()), 0.5, 2.0))
+    z = middle_camera[2]
+    wanted = middle_camera * zoom
+    wanted[:2] += (target - seen) * z * zoom / np.array([camera.fx, camera.fy])
+    moved = pose.copy()
+    moved[:3, 3] = problem.pivot_world - pose[:3, :3] @ wanted
+    return moved
+
+
+def _result(problem: _Problem, best: _Found, start: Matrix, *, px_a_level_px: float) -> Refinement:
+    """Return what was found; a pixel of the finest level is ``px_a_level_px`` of the query's."""
+    level = problem.levels[-1]
+    seen = problem.see(len(problem.levels) - 1, best.pose[None], with_jacobian=True)
     at_edge = (level.target > 0.1) & (level.target < 0.9)
     # Coverage changes by 1/(σ √2π) a pixel at the edge.
-    off_px = (seen.coverage - level.target) * level.softness_px * np.sqrt(2 * np.pi) * step
-    near = np.abs(off_px[at_edge]) < step
-    if not near.any() or not np.isfinite(pose).all():
+    off_px = (seen.coverage[0] - level.target) * level.softness_px * np.sqrt(2 * np.pi) * px_a_level_px
+    near = np.abs(off_px[at_edge]) < px_a_level_px
+    if not near.any() or not np.isfinite(best.pose).all():
         reason = "the model's outline does not come near the mask's"
         return declined("silhouette", start, reason, used=len(level.pixels), unit="px")
-    residual = float(np.sqrt(np.mean(off_px[at_edge][near] ** 2)))
-    settled = float(found.last_steps_m[0]) < 1e-3 * problem.model.diameter
-    spread = max(float(np.sqrt(found.normals.squares[0] / found.normals.weight[0])), _LEAST_COVERAGE_SPREAD)
+    settled = best.last_step_m < 1e-3 * problem.model.diameter
     return Refinement(
         stage="silhouette",
-        world_from_camera=pose,
+        world_from_camera=best.pose,
         converged=settled,
-        reason="" if settled else f"its last step was still {1000 * found.last_steps_m[0]:.2g} mm",
-        residual=residual,
+        reason="" if settled else f"its last step was still {1000 * best.last_step_m:.2g} mm",
+        residual=float(np.sqrt(np.mean(off_px[at_edge][near] ** 2))),
         expected=_EDGE_NOISE_PX,
         unit="px",
         inlier_share=float(near.mean()),
-        overlap=overlap,
+        overlap=best.overlap,
         used=len(level.pixels),
-        iterations=found.iterations,
-        uncertainty=uncertainty(
-            found.normals.hessian[0], sigma=spread, pivot_world=problem.pivot_world, radius_m=problem.radius
-        ),
+        iterations=best.iterations,
+        uncertainty=_uncertainty(problem, level, seen),
+    )
+
+
+def _uncertainty(problem: _Problem, level: Level, seen: SoftSilhouette) -> Uncertainty:
+    """Return how well an outline fixes the pose; what tells of the same piece of the outline errs alike."""
+    assert seen.jacobian is not None
+    residuals = seen.coverage - level.target
+    side = max(float(np.sqrt(np.prod(np.ptp(level.pixels, axis=0) + 1))) / _CLUSTERS_ACROSS, 1.0)
+    cells = np.floor((level.pixels - level.pixels.min(axis=0)) / side).astype(np.int64)
+    return clustered_uncertainty(
+        seen.jacobian[0],
+        residuals[0],
+        _robust(residuals)[0][0],
+        cells @ np.array([1, 10_000]),
+        pivot_world=problem.pivot_world,
+        radius_m=problem.radius,
     )

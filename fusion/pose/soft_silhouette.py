@@ -9,84 +9,105 @@ derivative is that of the distance at a fixed place of the ray; Warp's tape take
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
 from datagen.camera import PinholeCamera
-from datagen.rigid import Matrix
-from fusion.devices import launch_in_slabs
+from fusion.devices import SlabLaunch
 from fusion.pose.coverage_kernel import COVERAGE_KERNEL
-from fusion.pose.nearest_approach import NOWHERE, nearest_approaches
+from fusion.pose.nearest_approach import ApproachFinder
 from fusion.pose.pose_model import PoseModel
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-_NOWHERE = wp.constant(NOWHERE)
 BESIDE_PX = 1.0
 """Pixels no farther from the silhouette tell of all others: a fused field is right next to the surface alone."""
 _BESIDE_PX = wp.constant(BESIDE_PX)
 _HALF_PIECE_PX = wp.constant(0.7)
 """Of the edge, half of what a pixel beside it tells of: its diagonal, so that the pieces leave no gaps."""
+_REACH_SIGMAS = 3.0
+"""Farther within than so many deviations coverage is 1."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SoftSilhouette:
-    """The silhouette at n pixels.
+    """The silhouette at n pixels, seen from k poses.
 
-    ``coverage`` (n,) from 0 to 1; ``jacobian`` (n, 6) its derivative by the twist of the pose along the world's axes
-    about the pivot, from the tape; empty where it was not asked for. ``edge_px`` (n,) is the distance from the edge in
-    pixels, negative within, infinite where the ray never comes near.
+    ``coverage`` (k, n) from 0 to 1; ``jacobian`` (k, n, 6) its derivative by the twist of the pose along the world's
+    axes about the pivot, from the tape; None where it was not asked for. ``edge_px`` (k, n) is the distance from the
+    edge in pixels, negative within, infinite where that is farther than coverage tells.
     """
 
     coverage: NDArray[np.float64]
-    jacobian: NDArray[np.float64]
+    jacobian: NDArray[np.float64] | None
     edge_px: NDArray[np.float64]
 
 
-def soft_silhouette(
-    model: PoseModel,
-    camera: PinholeCamera,
-    pixels: NDArray[np.floating],
-    world_from_camera: Matrix,
-    *,
-    softness_px: float,
-    pivot_world: NDArray[np.float64],
-    with_jacobian: bool = True,
-) -> SoftSilhouette:
-    """Render the soft silhouette of ``model`` at ``pixels`` (n, 2), (u, v) of ``camera``, seen from a pose.
+class SilhouetteRenderer:
+    """Renders the soft silhouette of ``model`` at the same pixels from k ``poses`` at a time, in arrays that are kept.
 
-    The pixels are whole ones, and those beside the silhouette have to be among them. ``softness_px`` is σ, in the
-    camera's pixels.
+    ``pixels`` (n, 2), (u, v) of ``camera``, are whole ones, and those beside the silhouette have to be among them.
+    ``softness_px`` is σ, in the camera's pixels; ``pivot_world`` (3,) is what twists turn about.
     """
-    device = model.device
-    count = len(pixels)
-    approaches, edges_px, slopes = nearest_approaches(
-        model, camera, pixels, world_from_camera, fine_within_px=BESIDE_PX
-    )
-    # Farther within than three deviations coverage is 1.
-    nearest, within_px, shares = _pixels_beside(np.asarray(pixels), edges_px, slopes, int(np.ceil(3 * softness_px)) + 1)
-    twists = wp.zeros(count, dtype=wp.spatial_vector, device=device, requires_grad=with_jacobian)
-    coverage = wp.empty(count, dtype=float, device=device, requires_grad=with_jacobian)
-    edge = wp.empty(count, dtype=float, device=device)
-    pivot = wp.vec3(*(pivot_world - model.origin_world).tolist())
-    inputs: list[Any] = [
-        approaches,
-        *(nearest, within_px, shares, twists, pivot, softness_px),
-    ]
-    jacobian = np.empty((0, 6))
-    # Each pixel has six parameters to itself: one pass back through the tape gives all rows of the Jacobian.
-    tape = wp.Tape()
-    with tape:
-        wp.launch(COVERAGE_KERNEL, dim=count, inputs=inputs, outputs=[coverage, edge], device=device)
-    if with_jacobian:
-        tape.backward(grads={coverage: wp.ones(count, dtype=float, device=device)})
-        jacobian = twists.grad.numpy().astype(np.float64)
-    return SoftSilhouette(
-        coverage=coverage.numpy().astype(np.float64), jacobian=jacobian, edge_px=edge.numpy().astype(np.float64)
-    )
+
+    def __init__(
+        self,
+        model: PoseModel,
+        camera: PinholeCamera,
+        pixels: NDArray[np.floating],
+        *,
+        softness_px: float,
+        pivot_world: NDArray[np.float64],
+        poses: int = 1,
+    ) -> None:
+        device = model.device
+        self._shape = poses, len(pixels)
+        reach = int(np.ceil(_REACH_SIGMAS * softness_px)) + 1
+        self._finder = ApproachFinder(
+            model, camera, pixels, poses=poses, fine_within_px=BESIDE_PX, reach_px=float(reach)
+        )
+        size = poses * len(pixels)
+        told = [wp.zeros(size, dtype=kind, device=device) for kind in (int, float, float)]
+        self._tell = _teller(self._finder, np.asarray(pixels), reach, told)
+        self._twists = wp.zeros(size, dtype=wp.spatial_vector, device=device, requires_grad=True)
+        self._coverage = wp.zeros(size, dtype=float, device=device, requires_grad=True)
+        self._edge = wp.zeros(size, dtype=float, device=device)
+        arguments = {
+            "dim": size,
+            "inputs": [
+                self._finder.approaches,
+                *(*told, self._twists),
+                wp.vec3(*(pivot_world - model.origin_world).tolist()),
+                softness_px,
+            ],
+            "outputs": [self._coverage, self._edge],
+            "device": device,
+        }
+        # What is recorded once is played back with what then lies in the arrays.
+        self._tape = wp.Tape()
+        with self._tape:
+            wp.launch(COVERAGE_KERNEL, **arguments)
+        self._cover = wp.launch(COVERAGE_KERNEL, **arguments, record_cmd=True)
+
+    def render(self, world_from_camera: NDArray[np.float64], *, with_jacobian: bool = True) -> SoftSilhouette:
+        """Render what is seen from poses (k, 4, 4)."""
+        self._finder.find(world_from_camera)
+        self._tell.run()
+        self._cover.launch()
+        jacobian = None
+        if with_jacobian:
+            # Each pixel has six parameters to itself: one pass back through the tape gives all rows of the Jacobian.
+            self._twists.grad.zero_()
+            self._coverage.grad.fill_(1.0)
+            self._tape.backward()
+            jacobian = self._twists.grad.numpy().astype(np.float64).reshape(*self._shape, 6)
+        return SoftSilhouette(
+            coverage=self._coverage.numpy().astype(np.float64).reshape(self._shape),
+            jacobian=jacobian,
+            edge_px=self._edge.numpy().astype(np.float64).reshape(self._shape),
+        )
 
 
 @wp.kernel
@@ -110,55 +131,51 @@ def _tell_from_beside(
         return
     if own < 0.0:
         within_px[index] = wp.inf
-    place = places[index]
+    pixel = index % places.shape[0]
+    place = places[pixel]
     side = wp.where(own < 0.0, -1.0, 1.0)
     least = float(reach)
     for row in range(wp.max(place[0] - reach, 0), wp.min(place[0] + reach + 1, held.shape[0])):
         for column in range(wp.max(place[1] - reach, 0), wp.min(place[1] + reach + 1, held.shape[1])):
             other = held[row, column]
-            if other >= 0 and edges_px[other] >= 0.0 and edges_px[other] < _BESIDE_PX:
-                way = wp.vec2(float(place[1] - column), float(place[0] - row))
-                slope = wp.length(slopes[other])
-                unit = slopes[other] / wp.max(slope, 0.1)
-                across = edges_px[other] / wp.max(slope, 0.1) + wp.dot(unit, way)
-                along = wp.max(wp.abs(unit[0] * way[1] - unit[1] * way[0]) - _HALF_PIECE_PX, 0.0)
-                far = wp.sqrt(across * across + along * along)
-                if far < least:
-                    least = far
-                    nearest[index] = other
-                    # Beyond a piece's end the distance grows by a share of what the piece moves by.
-                    shares[index] = wp.max(side * across / wp.max(far, 1.0e-3), 0.0)
-                    within_px[index] = shares[index] * edges_px[other] - side * far
+            if other >= 0:
+                other += index - pixel
+                if edges_px[other] >= 0.0 and edges_px[other] < _BESIDE_PX:
+                    way = wp.vec2(float(place[1] - column), float(place[0] - row))
+                    slope = wp.length(slopes[other])
+                    unit = slopes[other] / wp.max(slope, 0.1)
+                    across = edges_px[other] / wp.max(slope, 0.1) + wp.dot(unit, way)
+                    along = wp.max(wp.abs(unit[0] * way[1] - unit[1] * way[0]) - _HALF_PIECE_PX, 0.0)
+                    far = wp.sqrt(across * across + along * along)
+                    if far < least:
+                        least = far
+                        nearest[index] = other
+                        # Beyond a piece's end the distance grows by a share of what the piece moves by.
+                        shares[index] = wp.max(side * across / wp.max(far, 1.0e-3), 0.0)
+                        within_px[index] = shares[index] * edges_px[other] - side * far
 
 
-def _pixels_beside(
-    pixels: NDArray[np.floating], edges_px: wp.array, slopes: wp.array, reach: int
-) -> tuple[wp.array, wp.array, wp.array]:
-    """Tell which pixel beside the silhouette tells of each pixel, and how much farther within this one is.
+def _teller(finder: ApproachFinder, pixels: NDArray[np.floating], reach: int, told: list[wp.array]) -> SlabLaunch:
+    """Return what tells which pixel beside the silhouette tells of each pixel, and how much farther within this one is.
 
-    ``pixels`` (n, 2) are whole, ``edges_px`` (n,) their distances from the edge, right where they are small and
-    positive, ``slopes`` (n,) vec2 how these grow: so each such pixel knows a piece of the edge, square to its slope.
-    The nearest piece tells. Returns the indices (n,), how many pixels farther within (n,), infinite within where no
-    piece is in ``reach``, and the share (n,) of the other's distance that this is to be taken from.
+    ``pixels`` (n, 2) are whole. A pixel beside it knows a piece of the edge, square to its slope, and the nearest piece
+    tells. ``told`` (k · n,) are the indices, how many pixels farther within, infinite within where no piece is in
+    ``reach``, and the share of the other's distance that this is to be taken from.
     """
-    device = edges_px.device
+    device = finder.edges_px.device
     places = np.rint(pixels[:, ::-1]).astype(np.int32)
     places -= places.min(axis=0)
     held = np.full(places.max(axis=0) + 1, -1, np.int32)
     held[places[:, 0], places[:, 1]] = np.arange(len(places))
-    nearest = wp.empty(len(places), dtype=int, device=device)
-    within_px = wp.empty(len(places), dtype=float, device=device)
-    shares = wp.empty(len(places), dtype=float, device=device)
-    launch_in_slabs(
+    return SlabLaunch(
         _tell_from_beside,
-        dim=len(places),
+        dim=len(finder.edges_px),
         inputs=[
             wp.array(places, dtype=wp.vec2i, device=device),
             wp.array(held, dtype=int, device=device),
-            *(edges_px, slopes, reach),
+            *(finder.edges_px, finder.slopes, reach),
         ],
-        outputs=[nearest, within_px, shares],
+        outputs=told,
         device=device,
         least_slab=4096,
     )
-    return nearest, within_px, shares

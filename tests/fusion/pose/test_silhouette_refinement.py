@@ -17,7 +17,7 @@ from fusion.pose.silhouette_refinement import (
     refine_with_silhouette,
 )
 from fusion.pose.silhouette_target import silhouette_from_depth
-from fusion.pose.soft_silhouette import soft_silhouette
+from fusion.pose.soft_silhouette import SilhouetteRenderer
 
 
 @lru_cache(maxsize=2)
@@ -43,13 +43,14 @@ def all_pixels():
     return np.stack([u.ravel(), v.ravel()], axis=-1).astype(float)
 
 
-def render(model, pose, softness_px=1.0, **options):
-    return soft_silhouette(model, CAMERA, all_pixels(), pose, softness_px=softness_px, pivot_world=MIDDLE, **options)
+def renderer(model, softness_px=1.0, poses=1):
+    return SilhouetteRenderer(model, CAMERA, all_pixels(), softness_px=softness_px, pivot_world=MIDDLE, poses=poses)
 
 
 def test_the_silhouette_is_sharp_at_the_outline_and_as_far_from_it_as_pixels_are(model):
+    views = renderer(model)
     for pose in POSES:
-        seen = render(model, pose, with_jacobian=False)
+        seen = views.render(pose[None], with_jacobian=False)
         inside = see_boxes(pose, model.device) > 0
         edge = seen.edge_px.reshape(inside.shape)
         # A pixel is inside where its centre's ray meets the shape; edges are rounded by a share of a voxel, 0.4 px.
@@ -67,14 +68,12 @@ def test_the_tapes_gradient_of_the_loss_is_that_of_finite_differences(model, sof
     target = gaussian_filter((see_boxes(POSES[0], model.device) > 0).astype(float), softness_px).ravel()
     pose = perturb(twist(np.random.default_rng(2), 2.0, 0.01), POSES[0], pivot_world=MIDDLE)
 
-    def loss(step):
-        seen = render(model, perturb(step, pose, pivot_world=MIDDLE), softness_px, with_jacobian=False)
-        return 0.5 * ((seen.coverage - target) ** 2).sum()
-
-    seen = render(model, pose, softness_px)
-    gradient = seen.jacobian.T @ (seen.coverage - target)
-    size = 5e-4
-    numeric = np.array([(loss(size * e) - loss(-size * e)) / (2 * size) for e in np.eye(6)])
+    steps = 5e-4 * np.concatenate([np.eye(6), -np.eye(6)])
+    seen = renderer(model, softness_px, poses=12).render(perturb(steps, pose, pivot_world=MIDDLE), with_jacobian=False)
+    losses = 0.5 * ((seen.coverage - target) ** 2).sum(axis=1)
+    numeric = (losses[:6] - losses[6:]) / (2 * 5e-4)
+    seen = renderer(model, softness_px).render(pose[None])
+    gradient = seen.jacobian[0].T @ (seen.coverage[0] - target)
     # Rays' nearest approaches jump between the field's cells: single differences carry that noise, their sum little.
     length = np.linalg.norm(numeric)
     assert gradient @ numeric / (np.linalg.norm(gradient) * length) > 0.99
@@ -88,7 +87,7 @@ def test_the_silhouettes_area_and_middle_move_as_those_that_rays_hit(model):
     v, u = np.mgrid[: coarse.height, : coarse.width].reshape(2, -1)
     pixels = np.stack([u, v], axis=-1).astype(float)
     # Narrow, as at the finer levels: in the fan beyond a corner a piece of the edge tells of its own normal alone.
-    seen = soft_silhouette(model, coarse, pixels, POSES[1], softness_px=1.0, pivot_world=MIDDLE)
+    seen = SilhouetteRenderer(model, coarse, pixels, softness_px=1.0, pivot_world=MIDDLE).render(POSES[1][None])
     rows, columns = np.mgrid[: fine.height, : fine.width] / 5
 
     def moments(pose):
@@ -101,11 +100,21 @@ def test_the_silhouettes_area_and_middle_move_as_those_that_rays_hit(model):
         step = size * np.eye(6)[axis]
         ahead, back = (moments(perturb(sign * step, POSES[1], pivot_world=MIDDLE)) for sign in (1, -1))
         rays = (ahead - back) / (2 * size)
-        tape = np.array([1 + 0 * u, u - 80, v - 60]) @ seen.jacobian[:, axis]
+        tape = np.array([1 + 0 * u, u - 80, v - 60]) @ seen.jacobian[0, :, axis]
         # As shares of all that the edge moves. What a step of Gauss and Newton leaves of an error is as much: of six
         # steps, as a level has, a millionth. In the fan beyond a corner the tape knows less than all of the motion.
-        moved = np.array([1, 40, 40]) * np.abs(seen.jacobian[:, axis]).sum()
+        moved = np.array([1, 40, 40]) * np.abs(seen.jacobian[0, :, axis]).sum()
         np.testing.assert_allclose(tape / moved, rays / moved, atol=0.1)
+
+
+def test_many_poses_are_rendered_as_one_alone_whatever_was_rendered_before(model):
+    poses = np.stack(POSES)
+    views = renderer(model, poses=len(poses))
+    together = [views.render(some) for some in (poses[::-1].copy(), poses)][-1]
+    for i, pose in enumerate(poses):
+        alone = renderer(model).render(pose[None])
+        np.testing.assert_array_equal(together.coverage[i], alone.coverage[0])
+        np.testing.assert_array_equal(together.jacobian[i], alone.jacobian[0])
 
 
 @pytest.mark.parametrize(("turn_deg", "shift"), [(3.0, 0.01), (10.0, 0.04)])
