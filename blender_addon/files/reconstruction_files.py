@@ -71,7 +71,11 @@ class LostQuery:
 
 @dataclass(frozen=True, kw_only=True)
 class Record:
-    """What a reconstruction folder holds beside its mesh, as far as Blender shows it; metres, world frame."""
+    """What a reconstruction folder holds beside its mesh, as far as Blender shows it; world frame.
+
+    The folder's lengths are metres; ``metres_per_unit`` is another unit where they were brought into a scene's
+    (``results.scene_units``), but for what is named _m.
+    """
 
     folder: Path
     dataset: Path
@@ -80,6 +84,7 @@ class Record:
     trajectory: tuple[FusedFrame, ...]
     located: tuple[LocatedFrame, ...]
     lost: tuple[LostQuery, ...] = ()
+    metres_per_unit: float = 1.0
 
     @property
     def name(self) -> str:
@@ -93,7 +98,7 @@ class Reconstruction(Record):
 
     mesh: ColoredMesh
 
-    def diagonal_m(self) -> float:
+    def diagonal(self) -> float:
         """Return the diagonal of the box around mesh and camera path, the measure of all that is drawn."""
         positions = [frame.world_from_camera[:3, 3] for frame in self.trajectory]
         corners = [self.mesh.vertices_world.min(axis=0), self.mesh.vertices_world.max(axis=0), *positions]

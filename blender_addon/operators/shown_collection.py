@@ -9,6 +9,7 @@ import bpy
 from ..errors import ReconstructionError
 from ..files.reconstruction_files import POSES_FILE, RECONSTRUCTION_FILE, Record, read_record
 from ..results.scene_collection import find_collection, folder_of, our_collections
+from ..results.scene_units import in_units, unit_of
 from ..settings import RECONSTRUCTION, scan_folder
 
 
@@ -35,16 +36,17 @@ def shown_collection(context: Any) -> bpy.types.Collection:
 
 
 def record_of(collection: bpy.types.Collection) -> Record:
-    """Return what a collection's folder says, read again only where it has changed."""
+    """Return what a collection's folder says, in the collection's units, read again only where it has changed."""
     folder = folder_of(collection)
     if folder is None:
         raise ReconstructionError(f"{collection.name} does not say where its reconstruction is; import it again")
-    return _read(folder, *(_written_ns(folder / name) for name in (RECONSTRUCTION_FILE, POSES_FILE)))
+    written_ns = (_written_ns(folder / name) for name in (RECONSTRUCTION_FILE, POSES_FILE))
+    return _read(folder, unit_of(collection), *written_ns)
 
 
 @lru_cache(maxsize=8)
-def _read(folder: Path, *written_ns: int) -> Record:  # noqa: ARG001 - a changed file is another one
-    return read_record(folder)
+def _read(folder: Path, unit: float, *written_ns: int) -> Record:  # noqa: ARG001 - a changed file is another one
+    return in_units(read_record(folder), unit)
 
 
 def _written_ns(path: Path) -> int:

@@ -19,6 +19,7 @@ from ..operators.scan import SCANBACK_OT_resume_scan, SCANBACK_OT_scan
 from ..operators.shown_collection import find_shown
 from ..results.error_colors import NUMBERS_KEY, has_errors, shows_errors
 from ..results.scene_collection import MESH_PART, parts
+from ..results.scene_units import metres_per_unit
 from ..settings import scan_folder
 from ..steps import reasons
 from ..steps.estimate import VOXELS_PER_TRUNCATION, known_estimate
@@ -126,10 +127,6 @@ class SCANBACK_PT_scan(_StepPanel, bpy.types.Panel):  # type: ignore[misc]  # no
         extra = {"ORBIT": ("elevation", "turns", "distance"), "HEMISPHERE": ("distance",)}
         self.settings(settings, *extra.get(settings.trajectory, ()))
         self.settings(settings, "frames", "width", "height", "preset", "sensor")
-        unit = scene.unit_settings.scale_length
-        if settings.sensor != "NONE" and abs(unit - 1) > 1e-6:
-            draw_wrapped(self.layout, context, f"The sensor takes a Blender unit for a metre, here it is {unit:g} m",
-                         icon="ERROR")  # fmt: skip
         status = status_of(folder)
         reason = reasons.why_not_scan(context)
         if status.frame_count is None and not (folder / "dataset").exists():
@@ -167,8 +164,9 @@ class SCANBACK_PT_fuse(_StepPanel, bpy.types.Panel):  # type: ignore[misc]  # no
             if reasons.why_not_fuse(context) is None:
                 self.layout.operator(SCANBACK_OT_estimate.bl_idname, icon="VIEWZOOM")
             return
-        voxel_size = settings.voxel_size or estimate.voxel_size
-        truncation = settings.truncation or VOXELS_PER_TRUNCATION * voxel_size
+        unit = metres_per_unit(context.scene)
+        voxel_size = settings.voxel_size * unit or estimate.voxel_size
+        truncation = settings.truncation * unit or VOXELS_PER_TRUNCATION * voxel_size
         column = self.layout.column(align=True)
         column.label(text=f"Voxels of {length_text(context, voxel_size)}: about")
         column.label(text=f"{estimate.triangles(voxel_size):,} triangles")

@@ -19,9 +19,9 @@ def draw_wrapped(layout: Any, context: Any, text: str, *, icon: str = "NONE", mo
         column.label(text=line, icon=icon if number == 0 else ("NONE" if icon == "NONE" else "BLANK1"))
 
 
-def length_text(context: Any, length: float) -> str:
-    """Return a length in Blender units in the words of the scene's units."""
+def length_text(context: Any, metres: float) -> str:
+    """Return a length in the words of the scene's units."""
     units = context.scene.unit_settings
     if units.system == "NONE":
-        return f"{length:.4g}"
-    return str(bpy.utils.units.to_string(units.system, "LENGTH", length * units.scale_length, precision=4))
+        return f"{metres:.4g}"
+    return str(bpy.utils.units.to_string(units.system, "LENGTH", metres, precision=4))

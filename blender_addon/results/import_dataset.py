@@ -12,6 +12,7 @@ from .camera_path import create_path_object
 from .import_reconstruction import MARKER_SIZE, MARKER_SIZE_KEY, WIRE_RADIUS
 from .replay_camera import add_replay
 from .scene_collection import PATH_PART, add_part, empty_collection
+from .scene_units import UNIT_KEY, fused_in_units, metres_per_unit
 
 
 def import_dataset(
@@ -22,18 +23,22 @@ def import_dataset(
     Everything is read before the scene is touched: ReconstructionError leaves it as it was.
     """
     frames = read_posed_frames(folder)
+    unit = metres_per_unit(scene)
+    trajectory = tuple(fused_in_units(frame, unit) for frame in frames.trajectory)
     collection = empty_collection(scene, frames.folder)
-    positions = np.array([frame.world_from_camera[:3, 3] for frame in frames.trajectory])
+    collection[UNIT_KEY] = unit
+    positions = np.array([frame.world_from_camera[:3, 3] for frame in trajectory])
     diagonal_m = float(np.linalg.norm(np.ptp(positions, axis=0))) or 1.0
     collection[MARKER_SIZE_KEY] = MARKER_SIZE * diagonal_m
-    path = create_path_object("Scanback camera path", frames.trajectory, radius_m=WIRE_RADIUS * diagonal_m)
+    path = create_path_object("Scanback camera path", trajectory, radius_m=WIRE_RADIUS * diagonal_m)
     add_part(collection, PATH_PART, [path])
     record = Record(
         folder=frames.folder,
         dataset=frames.folder,
         intrinsics=frames.intrinsics,
         voxel_size_m=None,
-        trajectory=frames.trajectory,
+        trajectory=trajectory,
+        metres_per_unit=unit,
         located=(),
     )
     add_replay(scene, collection, record)

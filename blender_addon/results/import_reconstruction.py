@@ -18,6 +18,7 @@ from .scene_collection import (
     find_collection,
     remove_parts,
 )
+from .scene_units import UNIT_KEY, in_units, metres_per_unit, unit_of
 
 MESH_NAME = "Scanback mesh"
 LOCATED_COLLECTION = "Located frames"
@@ -37,7 +38,7 @@ def import_reconstruction(
     scan's size and pixel aspect, without which the markers' cameras show another crop than the scan's camera did.
     Everything is read and checked before the scene is touched: ReconstructionError leaves it as it was.
     """
-    reconstruction = read_reconstruction(folder)
+    reconstruction = in_units(read_reconstruction(folder), metres_per_unit(scene))
     mesh = create_mesh_object(MESH_NAME, reconstruction.mesh)
     return place_reconstruction(scene, reconstruction, mesh, match_render_size=match_render_size)
 
@@ -45,17 +46,18 @@ def import_reconstruction(
 def place_reconstruction(
     scene: bpy.types.Scene, reconstruction: Reconstruction, mesh: bpy.types.Object, *, match_render_size: bool = True
 ) -> bpy.types.Collection:
-    """Put a reconstruction that was read, with the object of its mesh, into its collection as above."""
+    """Put a reconstruction in the scene's units, with the object of its mesh, into its collection as above."""
     collection = empty_collection(scene, reconstruction.folder)
     # Names are given when those of what was replaced are free again.
     mesh.name = mesh.data.name = MESH_NAME
     for material in mesh.data.materials:
         material.name = f"{MESH_NAME} colours"
     add_part(collection, MESH_PART, [mesh])
-    diagonal_m = reconstruction.diagonal_m()
-    collection[MARKER_SIZE_KEY] = MARKER_SIZE * diagonal_m
+    collection[UNIT_KEY] = reconstruction.metres_per_unit
+    diagonal = reconstruction.diagonal()
+    collection[MARKER_SIZE_KEY] = MARKER_SIZE * diagonal
     if reconstruction.trajectory:
-        radius_m = WIRE_RADIUS * diagonal_m
+        radius_m = WIRE_RADIUS * diagonal
         path = create_path_object("Scanback camera path", reconstruction.trajectory, radius_m=radius_m)
         add_part(collection, PATH_PART, [path])
     _add_markers(collection, reconstruction)
@@ -65,12 +67,12 @@ def place_reconstruction(
 
 
 def place_located(scene: bpy.types.Scene, record: Record) -> bpy.types.Collection | None:
-    """Replace the located frames of a reconstruction that is in the scene; None where it is not."""
+    """Replace the located frames of a reconstruction that is in the scene by the record's; None where it is not."""
     collection = find_collection(scene, record.folder)
     if collection is None or MARKER_SIZE_KEY not in collection:
         return None
     remove_parts(collection, part=MARKER_PART)
-    _add_markers(collection, record)
+    _add_markers(collection, in_units(record, unit_of(collection)))
     return collection
 
 

@@ -11,6 +11,7 @@ from ..files.mesh_arrays import MeshArrays, mesh_arrays
 from ..files.ply_mesh import read_colored_mesh
 from .mesh_import import fill_mesh, object_of
 from .scene_collection import LIVE_PART, MESH_PART, PART_KEY, find_collection, parts
+from .scene_units import mesh_in_units
 from .viewport_colors import show_vertex_colors
 
 NAME = "Scanback live"
@@ -19,13 +20,17 @@ NAME = "Scanback live"
 class LiveMesh:
     """Shows a mesh file in a scene and follows it as it is written anew; an older result stands aside meanwhile.
 
-    The file is read in a thread; what it holds is small enough to be handed to Blender within a tick.
+    The file is read in a thread; what it holds is small enough to be handed to Blender within a tick. ``unit`` is how
+    many metres a unit of the scene is.
     """
 
-    def __init__(self, file: Path, folder: Path, find_scene: Callable[[], bpy.types.Scene]) -> None:
+    def __init__(
+        self, file: Path, folder: Path, find_scene: Callable[[], bpy.types.Scene], *, unit: float = 1.0
+    ) -> None:
         self._file = file
         self._folder = folder
         self._find_scene = find_scene
+        self._unit = unit
         self._seen_ns = 0
         self._reader: threading.Thread | None = None
         self._arrays: MeshArrays | None = None
@@ -58,7 +63,7 @@ class LiveMesh:
 
     def _read(self) -> None:
         try:
-            self._arrays = mesh_arrays(read_colored_mesh(self._file))
+            self._arrays = mesh_arrays(mesh_in_units(read_colored_mesh(self._file), self._unit))
         except ReconstructionError:
             self._arrays = None  # the next one may be whole
 

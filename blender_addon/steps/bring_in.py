@@ -9,6 +9,7 @@ from ..files.reconstruction_files import Reconstruction, read_reconstruction
 from ..jobs.job import Job, Pace, Work
 from ..results.import_reconstruction import MESH_NAME, place_reconstruction
 from ..results.mesh_import import fill_mesh, object_of
+from ..results.scene_units import in_units
 from ..results.viewport_colors import show_vertex_colors
 from .scene_reference import SceneReference, push_undo
 
@@ -18,13 +19,13 @@ ATTEMPTS = 3
 def bring_in(
     job: Job, scene: SceneReference, folder: Path, *, undo: str, match_render_size: bool = False
 ) -> Work[Reconstruction]:
-    """Read a reconstruction in a thread and put it into the scene; one undo step, named ``undo``.
+    """Read a reconstruction in a thread and put it into the scene, in its units; one undo step, named ``undo``.
 
     The size of the scene's renders is the user's, unless ``match_render_size`` gives it that of the scan.
     """
 
     def read() -> tuple[Reconstruction, MeshArrays]:
-        reconstruction = read_reconstruction(folder)
+        reconstruction = in_units(read_reconstruction(folder), scene.metres_per_unit)
         return reconstruction, mesh_arrays(reconstruction.mesh)
 
     reconstruction, arrays = yield from job.in_thread(read)

@@ -24,11 +24,12 @@ NUMBERS = ("chamfer_m", "accuracy_m", "completeness_m", "fscore", "normal_consis
 
 
 def compare_work(
-    scene: SceneReference, folder: Path, *, truth: tuple[NDArray, NDArray] | None, limit_m: float
+    scene: SceneReference, folder: Path, *, truth: tuple[NDArray, NDArray] | None, limit: float
 ) -> Callable[[Job], Work[str]]:
     """Return the job that compares the reconstruction of ``folder`` and colours its mesh in the scene.
 
-    ``truth`` has vertices (N, 3), metres, and triangles (M, 3); None takes the mesh that the dataset keeps.
+    ``truth`` has vertices (N, 3) and triangles (M, 3); None takes the mesh that the dataset keeps. Its vertices and
+    ``limit``, the distance that has the last colour, are in the scene's units; what is measured is in metres.
     """
 
     def work(job: Job) -> Work[str]:
@@ -36,7 +37,8 @@ def compare_work(
         target = read_record(out).dataset
         if truth is not None:
             target = job.folder / "truth.ply"
-            yield from job.in_thread(lambda: write_triangles(target, *truth))
+            vertices, triangles = (truth[0] * scene.metres_per_unit).astype(np.float32), truth[1]
+            yield from job.in_thread(lambda: write_triangles(target, vertices, triangles))
         errors = job.folder / "errors.npy"
         arguments = ["evaluate", str(out / MESH_FILE), str(target), "--vertex-errors", str(errors), "--json"]
         arguments += ["--device", fusion_device()]
@@ -51,7 +53,7 @@ def compare_work(
         assert item is not None, "a reconstruction that was brought in has a mesh"
         numbers = {name: float(metrics[name]) for name in NUMBERS}
         numbers["fscore_threshold_m"] = float(metrics["fscores"][0]["threshold_m"])
-        put_errors(item, distances, limit_m=limit_m, numbers=numbers)
+        put_errors(item, distances, limit_m=limit * scene.metres_per_unit, numbers=numbers)
         push_undo("Scanback: Compare")
         return (
             f"The mesh is {1000 * metrics['accuracy_m']:.3g} mm from the original on average, "
@@ -62,7 +64,10 @@ def compare_work(
 
 
 def triangles_of(item: bpy.types.Object) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-    """Return an object as its modifiers make it, in the world: vertices (N, 3) and triangles (M, 3)."""
+    """Return an object as its modifiers make it, in the world: vertices (N, 3) and triangles (M, 3).
+
+    Triangles are counter-clockwise from outside, also of an object whose scale turns it inside out.
+    """
     shown = item.evaluated_get(bpy.context.evaluated_depsgraph_get())
     try:
         mesh = shown.to_mesh()
@@ -80,7 +85,9 @@ def triangles_of(item: bpy.types.Object) -> tuple[NDArray[np.float32], NDArray[n
         raise ReconstructionError(f"{item.name} has no faces; choose another object")
     world_from_object = np.array(shown.matrix_world)
     placed = vertices.reshape(-1, 3) @ world_from_object[:3, :3].T + world_from_object[:3, 3]
-    return placed.astype(np.float32), triangles.reshape(-1, 3)
+    corners = triangles.reshape(-1, 3)
+    is_mirrored = np.linalg.det(world_from_object[:3, :3]) < 0
+    return placed.astype(np.float32), np.ascontiguousarray(corners[:, ::-1]) if is_mirrored else corners
 
 
 def _mesh_in(scene: SceneReference, out: Path) -> bpy.types.Object | None:

@@ -64,6 +64,6 @@ def estimate_work(dataset: Path) -> Callable[[Job], Work[str]]:
 
     def work(job: Job) -> Work[str]:
         found = note_estimate(dataset, (yield from job.run(estimate_command(dataset))))
-        return f"A voxel of {found.voxel_size:g} makes about {found.triangles(found.voxel_size):,} triangles"
+        return f"A voxel of {1000 * found.voxel_size:g} mm makes about {found.triangles(found.voxel_size):,} triangles"
 
     return work

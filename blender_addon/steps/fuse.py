@@ -14,13 +14,15 @@ from .scene_reference import SceneReference
 from .status import forget
 
 
-def fuse_command(dataset: Path, out: Path, settings: dict[str, Any], *, snapshots: Path | None) -> Command:
-    """Return the command for the settings of ``FuseProperties``."""
+def fuse_command(
+    dataset: Path, out: Path, settings: dict[str, Any], *, snapshots: Path | None, metres_per_unit: float = 1.0
+) -> Command:
+    """Return the command for the settings of ``FuseProperties``, whose lengths are in the scene's units."""
     arguments = ["reconstruct", str(dataset), str(out), "--json", "--device", settings["device"] or fusion_device()]
     arguments += ["--mesher", settings["mesher"]]
     for name in ("voxel_size", "truncation", "depth_max"):
         if settings[name] > 0:
-            arguments += [f"--{name.replace('_', '-')}", repr(float(f"{settings[name]:.7g}"))]
+            arguments += [f"--{name.replace('_', '-')}", repr(float(f"{settings[name] * metres_per_unit:.7g}"))]
     if settings["every"] > 1:
         arguments += ["--frames", f"::{settings['every']}"]
     if settings["use_sensor_depth"]:
@@ -37,8 +39,10 @@ def fuse_work(
 
     def work(job: Job) -> Work[str]:
         out = folder / RECONSTRUCTION
-        live = LiveMesh(job.folder / "live.ply", out, scene.find) if settings["live"] else None
-        command = fuse_command(dataset, out, settings, snapshots=None if live is None else job.folder / "live.ply")
+        unit, growing = scene.metres_per_unit, job.folder / "live.ply"
+        live = LiveMesh(growing, out, scene.find, unit=unit) if settings["live"] else None
+        snapshots = growing if live is not None else None
+        command = fuse_command(dataset, out, settings, snapshots=snapshots, metres_per_unit=unit)
         try:
             yield from job.run(command, meanwhile=live.follow if live is not None else lambda: None)
             forget()

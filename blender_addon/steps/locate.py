@@ -13,6 +13,7 @@ from ..jobs.command import Command
 from ..jobs.job import Job, Work
 from ..preferences import fusion_device
 from ..results.import_reconstruction import place_located
+from ..results.scene_units import pose_in_metres
 from ..settings import RECONSTRUCTION
 from .bring_in import bring_in
 from .scene_reference import SceneReference, push_undo
@@ -23,7 +24,7 @@ DEPTH_STEP_KEY = "depth_scale"
 
 @dataclass(frozen=True, kw_only=True)
 class LocateQuery:
-    """What is located: the settings of ``LocateProperties``, and the pose of a view that is looked through."""
+    """What is located: the settings of ``LocateProperties``, and the pose of a view in the scene, in its units."""
 
     settings: dict[str, Any]
     view: Pose | None = None
@@ -35,7 +36,7 @@ def locate_work(scene: SceneReference, folder: Path, query: LocateQuery) -> Call
     def work(job: Job) -> Work[str]:
         out = folder / RECONSTRUCTION
         record = read_record(out)
-        dataset, frames = yield from _queries(job, record, query)
+        dataset, frames = yield from _queries(job, record, query, scene.metres_per_unit)
         arguments = ["locate", str(out), str(dataset), "--json", "--device", fusion_device()]
         if frames is not None:
             arguments += ["--frames", frames]
@@ -58,7 +59,7 @@ def locate_work(scene: SceneReference, folder: Path, query: LocateQuery) -> Call
     return work
 
 
-def _queries(job: Job, record: Record, query: LocateQuery) -> Work[tuple[Path, str | None]]:
+def _queries(job: Job, record: Record, query: LocateQuery, unit: float) -> Work[tuple[Path, str | None]]:
     """Return the dataset that holds the queries, made where there is none, and which of its frames they are."""
     settings = query.settings
     if settings["query"] == "HELD_OUT":
@@ -80,7 +81,7 @@ def _queries(job: Job, record: Record, query: LocateQuery) -> Work[tuple[Path, s
         return single, None
     if query.view is None:
         raise ReconstructionError("There is no view to locate; look at the scene in a 3D viewport, or add a camera")
-    yield from _render_view(job, record, query.view, single)
+    yield from _render_view(job, record, pose_in_metres(query.view, unit), single)
     return single, None
 
 

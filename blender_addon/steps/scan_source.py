@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from ..errors import ReconstructionError
 from ..results.scene_collection import is_ours
+from ..results.scene_units import metres_per_unit
 
 SURFACES = {"MESH", "CURVE", "SURFACE", "FONT", "META"}
 FOCAL_LENGTH_MM, SENSOR_WIDTH_MM = 50.0, 36.0
@@ -101,8 +102,9 @@ def _corners(objects: Iterable[bpy.types.Object]) -> NDArray[np.float64]:
 
 
 def _scene_file(scene: bpy.types.Scene, subject: list[bpy.types.Object], settings: dict[str, Any]) -> str:
-    size = [settings["width"], settings["height"]]
+    size, unit = [settings["width"], settings["height"]], metres_per_unit(scene)
     render: dict[str, Any] = {
+        "metres_per_unit": unit,
         "frames": settings["frames"],
         "size": size,
         "frames_per_second": scene.render.fps / scene.render.fps_base,
@@ -116,7 +118,7 @@ def _scene_file(scene: bpy.types.Scene, subject: list[bpy.types.Object], setting
     else:
         trajectory = _path(bounds, settings)
         distance = trajectory["radius"]
-        render["depth_scale"] = _depth_step(distance + bounds.reach)
+        render["depth_scale"] = _depth_step((distance + bounds.reach) * unit)
         tables["camera"] = {"clip_start": max(0.01 * distance, 1e-4), "clip_end": 10 * (distance + bounds.reach)}
     tables |= {"render": render, "trajectory": trajectory}
     lines = [f"name = {json.dumps(_plain(scene.name))}"]
@@ -207,6 +209,8 @@ def _scene_of(scene: bpy.types.Scene, family: list[bpy.types.Object] | None) -> 
                 alone.collection.objects.link(item)
         alone.camera = scene.camera
         alone.frame_start, alone.frame_end = scene.frame_start, scene.frame_end
+        alone.unit_settings.system = scene.unit_settings.system
+        alone.unit_settings.scale_length = scene.unit_settings.scale_length
         alone.render.fps, alone.render.fps_base = scene.render.fps, scene.render.fps_base
         yield alone
     finally:

@@ -6,6 +6,7 @@ import bpy
 from bpy.app.handlers import persistent
 
 from ..errors import ReconstructionError
+from ..results.scene_units import metres_per_unit
 from ..settings import ensure_token
 
 _files_opened = 0
@@ -13,11 +14,12 @@ _files_opened = 0
 
 @dataclass(frozen=True, kw_only=True)
 class SceneReference:
-    """A scene's token and name, and how many files had been opened when it was remembered."""
+    """A scene's token, name and unit, and how many files had been opened when it was remembered."""
 
     token: str
     name: str
     file: int
+    metres_per_unit: float
 
     def find(self) -> bpy.types.Scene:
         """Return the scene. Raises ReconstructionError where it is not open any more."""
@@ -35,7 +37,9 @@ class SceneReference:
 
 def remember(scene: bpy.types.Scene) -> SceneReference:
     """Return what ``scene`` can be found by later."""
-    return SceneReference(token=ensure_token(scene), name=scene.name, file=_files_opened)
+    return SceneReference(
+        token=ensure_token(scene), name=scene.name, file=_files_opened, metres_per_unit=metres_per_unit(scene)
+    )
 
 
 def push_undo(message: str) -> None:

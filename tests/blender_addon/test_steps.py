@@ -10,6 +10,7 @@ from typing import Any
 import bpy
 import numpy as np
 import pytest
+import trimesh
 
 import blender_addon
 from blender_addon.errors import ReconstructionError
@@ -18,13 +19,21 @@ from blender_addon.jobs import runner
 from blender_addon.jobs.job import Pace, State
 from blender_addon.results.error_colors import ERROR_COLORS, ERROR_METRES, NUMBERS_KEY, put_errors
 from blender_addon.results.scene_collection import LIVE_PART, MESH_PART, PART_KEY, our_collections, parts
+from blender_addon.results.scene_units import metres_per_unit
 from blender_addon.settings import FuseProperties, ScanProperties
 from blender_addon.steps import reasons
+from blender_addon.steps.compare import triangles_of
 from blender_addon.steps.fuse import fuse_work
 from blender_addon.steps.scan_source import write_source
 from blender_addon.steps.scene_reference import remember
+from datagen.open_dataset import open_dataset
+from datagen.rigid import transform_points
 
 VOXEL = 0.06
+UNIT = 0.01
+"""Metres in a unit of the scene, which has centimetres under inches and feet."""
+SINGLE = 1e-5
+"""What single precision leaves of a point ten units away, after some twenty roundings of 2**-24 each."""
 SIZE = {"width": 64, "height": 48}
 
 
@@ -39,7 +48,7 @@ def extension() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def scanned(extension: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A scan of a scene in centimetres and inches: an object turned, stretched and smoothed by a modifier."""
+    """A scan of a scene in centimetres and inches: an object turned, mirrored, sheared and smoothed by a modifier."""
     folder = tmp_path_factory.mktemp("project") / "scan"
     scene = _scene()
     bpy.ops.scanback.scan(folder=str(folder), frames=10, preset="draft", trajectory="HEMISPHERE", **SIZE)
@@ -58,12 +67,16 @@ def fused(scanned: Path) -> Path:
 def _scene() -> bpy.types.Scene:
     scene = bpy.context.scene
     scene.unit_settings.system = "IMPERIAL"
-    scene.unit_settings.scale_length = 0.01
+    scene.unit_settings.scale_length = UNIT
     bpy.ops.mesh.primitive_monkey_add(size=1.5, location=(0.4, -0.3, 0.2))
     head = bpy.context.active_object
     head.name = "Original"
     head.rotation_euler = (0.3, 0.2, 1.0)
-    head.scale = (1.5, 0.8, 1.1)
+    head.scale = (-1.5, 0.8, 1.1)
+    parent = bpy.data.objects.new("Parent", None)
+    scene.collection.objects.link(parent)
+    parent.location, parent.rotation_euler, parent.scale = (0.2, 0.1, 0.4), (0.1, -0.5, 0.2), (1.0, 1.3, 0.9)
+    head.parent = parent
     modifier = head.modifiers.new("Subdivision", "SUBSURF")
     modifier.levels = modifier.render_levels = 1
     return scene
@@ -93,6 +106,20 @@ def _fuse_as_the_button_does(folder: Path) -> None:
     assert longest < 0.05
     assert not any(item.get(PART_KEY) == LIVE_PART for item in bpy.data.objects)
     assert not any("live" in mesh.name for mesh in bpy.data.meshes)
+
+
+def _offsets(points: np.ndarray) -> np.ndarray:
+    """Return how far points (N, 3) of the scene are from the original's surface, by Blender's own nearest point."""
+    original = bpy.data.objects["Original"]
+    shown = original.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    world_from_object = np.array(shown.matrix_world)
+    object_from_world = np.linalg.inv(world_from_object)
+    offsets = []
+    for point in points @ object_from_world[:3, :3].T + object_from_world[:3, 3]:
+        found, place, _, _ = shown.closest_point_on_mesh(tuple(map(float, point)))
+        assert found
+        offsets.append(np.linalg.norm(world_from_object[:3, :3] @ (np.array(place) - point)))
+    return np.array(offsets)
 
 
 def _collection() -> bpy.types.Collection:
@@ -127,20 +154,32 @@ def test_a_whole_scan_is_gone_on_with_in_no_time(scanned: Path) -> None:
 
 def test_the_mesh_lies_on_the_object_whatever_its_units_and_modifiers(fused: Path) -> None:
     mesh = read_colored_mesh(fused / "reconstruction" / "mesh.ply")
-    original = bpy.data.objects["Original"]
-    shown = original.evaluated_get(bpy.context.evaluated_depsgraph_get())
-    object_from_world = np.linalg.inv(np.array(shown.matrix_world))
-    points = mesh.vertices_world @ object_from_world[:3, :3].T + object_from_world[:3, 3]
-    offsets = []
-    for point in points[::7]:
-        found, place, _, _ = shown.closest_point_on_mesh(tuple(map(float, point)))
-        assert found
-        offsets.append(np.linalg.norm(np.array(shown.matrix_world.to_3x3()) @ (np.array(place) - point)))
+    (item,) = parts(_collection(), MESH_PART)
+    assert np.array_equal(item.matrix_world, np.eye(4))
+    points = np.empty((len(item.data.vertices), 3), np.float32)
+    item.data.vertices.foreach_get("co", points.ravel())
+    np.testing.assert_allclose(UNIT * points, mesh.vertices_world, rtol=1e-6)  # files are in metres
+    offsets = _offsets(points[::7])
     assert np.mean(offsets) < VOXEL / 2
     assert np.quantile(offsets, 0.9) < VOXEL
-    (item,) = parts(_collection(), MESH_PART)
-    assert len(item.data.vertices) == len(mesh.vertices_world)
-    assert np.array_equal(item.matrix_world, np.eye(4))
+
+
+def test_what_is_scanned_is_in_metres_whatever_the_scenes_units(scanned: Path) -> None:
+    """Depth and pose put each pixel onto the original, by what Blender says of that, to half a step of the depth."""
+    dataset = open_dataset(scanned / "dataset")
+    frame = dataset.frame(3)
+    seen = frame.depth > 0
+    points = transform_points(frame.world_from_camera, dataset.camera.back_project(frame.depth)[seen])
+    assert len(points) > 500
+    assert dataset.metadata is not None
+    step = dataset.metadata.depth_scale
+    along_ray = 1 / np.cos(np.arctan(np.hypot(32 / dataset.camera.fx, 24 / dataset.camera.fy)))
+    assert UNIT * _offsets(points[::5] / UNIT).max() <= 0.5 * step * along_ray + SINGLE * UNIT
+    truth = trimesh.load(scanned / "dataset" / "ground_truth" / "mesh.ply", process=False)
+    vertices, triangles = triangles_of(bpy.data.objects["Original"])
+    np.testing.assert_allclose(truth.bounds, UNIT * np.stack([vertices.min(0), vertices.max(0)]), rtol=1e-5)
+    assert trimesh.Trimesh(vertices, triangles).volume > 0  # mirrored, and not inside out
+    assert truth.volume == pytest.approx(UNIT**3 * trimesh.Trimesh(vertices, triangles).volume, rel=1e-4)
 
 
 def test_a_reconstruction_in_the_scene_is_not_scanned_with_it(fused: Path, tmp_path: Path) -> None:
@@ -202,7 +241,7 @@ def test_errors_are_colors_with_numbers(fused: Path) -> None:
     errors = np.empty(len(data.vertices), np.float32)
     data.attributes[ERROR_METRES].data.foreach_get("value", errors)
     numbers = item[NUMBERS_KEY]
-    assert 0 < numbers["accuracy_m"] < VOXEL / 2
+    assert 0 < numbers["accuracy_m"] < UNIT * VOXEL / 2
     assert numbers["vertex_mean_m"] == pytest.approx(errors.mean())
     assert numbers["limit_m"] == pytest.approx(np.percentile(errors, 95))
     assert data.color_attributes.active_color.name == ERROR_COLORS
@@ -313,7 +352,8 @@ def test_the_own_path_of_the_camera_is_scanned(extension: None, tmp_path: Path) 
         camera.keyframe_insert("location", frame=frame)
     bpy.ops.scanback.scan(folder=str(tmp_path), trajectory="CAMERA", frames=3, preset="draft", **SIZE)
     poses = [np.loadtxt(path) for path in sorted((tmp_path / "dataset" / "frames").glob("*.pose.txt"))]
-    np.testing.assert_allclose([pose[0, 3] for pose in poses], [-1, 0, 1], atol=1e-5)
+    unit = metres_per_unit(scene)
+    np.testing.assert_allclose([pose[0, 3] / unit for pose in poses], [-1, 0, 1], atol=1e-5)
     np.testing.assert_allclose(poses[0][:3, 2], [0, 1, 0], atol=1e-6)  # it looks along y
     assert bpy.ops.scanback.import_dataset(directory=str(tmp_path / "dataset")) == {"FINISHED"}
     replay = scene.camera
