@@ -9,7 +9,7 @@ import bpy
 from ..errors import ReconstructionError
 from ..files.reconstruction_files import POSES_FILE, RECONSTRUCTION_FILE, Record, read_record
 from ..results.scene_collection import find_collection, folder_of, our_collections
-from ..results.scene_units import in_units, unit_of
+from ..results.scene_units import record_in_units, unit_of
 from ..settings import RECONSTRUCTION, scan_folder
 
 
@@ -46,7 +46,7 @@ def record_of(collection: bpy.types.Collection) -> Record:
 
 @lru_cache(maxsize=8)
 def _read(folder: Path, unit: float, *written_ns: int) -> Record:  # noqa: ARG001 - a changed file is another one
-    return in_units(read_record(folder), unit)
+    return record_in_units(read_record(folder), unit)
 
 
 def _written_ns(path: Path) -> int:

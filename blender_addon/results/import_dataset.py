@@ -12,7 +12,7 @@ from .camera_path import create_path_object
 from .import_reconstruction import MARKER_SIZE, MARKER_SIZE_KEY, WIRE_RADIUS
 from .replay_camera import add_replay
 from .scene_collection import PATH_PART, add_part, empty_collection
-from .scene_units import UNIT_KEY, fused_in_units, metres_per_unit
+from .scene_units import UNIT_KEY, frames_in_units, metres_per_unit
 
 
 def import_dataset(
@@ -24,7 +24,7 @@ def import_dataset(
     """
     frames = read_posed_frames(folder)
     unit = metres_per_unit(scene)
-    trajectory = tuple(fused_in_units(frame, unit) for frame in frames.trajectory)
+    trajectory = frames_in_units(frames.trajectory, unit)
     collection = empty_collection(scene, frames.folder)
     collection[UNIT_KEY] = unit
     positions = np.array([frame.world_from_camera[:3, 3] for frame in trajectory])

@@ -18,7 +18,7 @@ from .scene_collection import (
     find_collection,
     remove_parts,
 )
-from .scene_units import UNIT_KEY, in_units, metres_per_unit, unit_of
+from .scene_units import UNIT_KEY, metres_per_unit, reconstruction_in_units, record_in_units, unit_of
 
 MESH_NAME = "Scanback mesh"
 LOCATED_COLLECTION = "Located frames"
@@ -38,7 +38,7 @@ def import_reconstruction(
     scan's size and pixel aspect, without which the markers' cameras show another crop than the scan's camera did.
     Everything is read and checked before the scene is touched: ReconstructionError leaves it as it was.
     """
-    reconstruction = in_units(read_reconstruction(folder), metres_per_unit(scene))
+    reconstruction = reconstruction_in_units(read_reconstruction(folder), metres_per_unit(scene))
     mesh = create_mesh_object(MESH_NAME, reconstruction.mesh)
     return place_reconstruction(scene, reconstruction, mesh, match_render_size=match_render_size)
 
@@ -72,7 +72,7 @@ def place_located(scene: bpy.types.Scene, record: Record) -> bpy.types.Collectio
     if collection is None or MARKER_SIZE_KEY not in collection:
         return None
     remove_parts(collection, part=MARKER_PART)
-    _add_markers(collection, in_units(record, unit_of(collection)))
+    _add_markers(collection, record_in_units(record, unit_of(collection)))
     return collection
 
 

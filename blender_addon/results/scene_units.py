@@ -1,7 +1,7 @@
 """Metres in files, Blender's units in a scene: lengths change from one to the other here, and are written in words."""
 
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import TypeVar
 
 import bpy
 import numpy as np
@@ -46,11 +46,6 @@ def length_text(scene: bpy.types.Scene, metres: float) -> str:
     return str(bpy.utils.units.to_string(units.system, "LENGTH", float(f"{metres:.3g}"), precision=4))
 
 
-def unit_of(collection: bpy.types.Collection) -> float:
-    """Return how many metres a unit of the scene was when a reconstruction was put into it."""
-    return float(collection.get(UNIT_KEY, 1.0))
-
-
 def pose_in_metres(world_from_camera: Pose, unit: float) -> Pose:
     """Return a pose (4×4) of a scene whose unit is ``unit`` metres with its place in metres."""
     return _moved(world_from_camera, unit)
@@ -63,9 +58,9 @@ def frames_in_units(trajectory: Sequence[FusedFrame], unit: float) -> tuple[Fuse
 
 def mesh_in_units(mesh: ColoredMesh, unit: float) -> ColoredMesh:
     """Return a mesh, which is in metres, in units of ``unit`` metres."""
-    return (
-        mesh if unit == 1 else replace(mesh, vertices_world=mesh.vertices_world / mesh.vertices_world.dtype.type(unit))
-    )
+    if unit == 1:
+        return mesh
+    return replace(mesh, vertices_world=(mesh.vertices_world.astype(np.float64) / unit).astype(np.float32))
 
 
 def record_in_units(record: Record, unit: float) -> Record:

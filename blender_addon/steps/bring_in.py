@@ -9,7 +9,7 @@ from ..files.reconstruction_files import Reconstruction, read_reconstruction
 from ..jobs.job import Job, Pace, Work
 from ..results.import_reconstruction import MESH_NAME, place_reconstruction
 from ..results.mesh_import import fill_mesh, object_of
-from ..results.scene_units import in_units
+from ..results.scene_units import reconstruction_in_units
 from ..results.viewport_colors import show_vertex_colors
 from .scene_reference import SceneReference, push_undo
 
@@ -25,7 +25,7 @@ def bring_in(
     """
 
     def read() -> tuple[Reconstruction, MeshArrays]:
-        reconstruction = in_units(read_reconstruction(folder), scene.metres_per_unit)
+        reconstruction = reconstruction_in_units(read_reconstruction(folder), scene.metres_per_unit)
         return reconstruction, mesh_arrays(reconstruction.mesh)
 
     reconstruction, arrays = yield from job.in_thread(read)
