@@ -167,6 +167,7 @@ class _Nearest:
     indices: np.ndarray
     score: float | None
     estimate: Matrix
+    others: list[Matrix] | None
     ambiguous: bool
     verdict: Verdict
 
@@ -228,6 +229,7 @@ class _Locator:
                 indices=outline.indices,
                 score=None,
                 estimate=outline.estimate,
+                others=None,
                 ambiguous=outline.ambiguous,
                 verdict=judge_nearest(1 - outline.overlap, ambiguous=outline.ambiguous),
             )
@@ -236,6 +238,7 @@ class _Locator:
             indices=found.indices,
             score=float(found.scores[0]),
             estimate=found.estimate,
+            others=list(found.others),
             ambiguous=found.ambiguous,
             verdict=judge_nearest(found.cost, ambiguous=found.ambiguous),
         )
@@ -243,8 +246,9 @@ class _Locator:
     def _refined(self, query: Query, nearest: _Nearest, truth: Matrix | None) -> RefinedPose:
         wanted = "epipolar" in self.stages or "depth" in self.stages
         references = self.target.references(nearest.estimate, nearest.indices) if wanted else []
-        results = refine(self.target.model, query, references, nearest.estimate, self.stages, features=self.features)
-        return refined_record(results, assess(self.target.model, query, results), truth)
+        model, others = self.target.model, nearest.others
+        results = refine(model, query, references, nearest.estimate, self.stages, others=others, features=self.features)
+        return refined_record(results, assess(model, query, results), truth)
 
 
 def _held_out(folder: Path, record: ReconstructionRecord, dataset: Dataset) -> tuple[int, ...] | None:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.rigid import Matrix, inverse, rigid
-from fusion.pose.nearest_pose import pose_distances
+from fusion.pose.pose_distance import pose_distances
 from fusion.pose.reference_frame import ReferenceFrame
 from fusion.pose.refinement import Refinement
 from fusion.pose.se3 import exp_se3, log_se3

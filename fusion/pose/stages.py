@@ -42,17 +42,19 @@ def refine(
     start: Matrix,
     stages: Sequence[StageName],
     *,
+    others: Sequence[Matrix] | None = None,
     features: Features = "sift",
 ) -> list[Refinement]:
     """Run ``stages`` from ``start`` (world_from_camera), each from the pose that the one before it hands on.
 
     ``references`` are the fused frames nearest to the start, for the epipolar stage, whose ``features`` are SIFT, ORB
-    or AKAZE. ``nearest`` is what the start came from, and nothing is done for it.
+    or AKAZE. ``others`` are what else the search for the nearest pose has found, None where the start is not from
+    there: the depth stage tries them, too. ``nearest`` is what the start came from, and nothing is done for it.
     """
     run: dict[Stage, Callable[[Matrix], Refinement]] = {
         "epipolar": lambda pose: rectify(model, query, references, pose, options=EpipolarOptions(features=features)),
         "silhouette": lambda pose: refine_with_silhouette(model, query, pose),
-        "depth": lambda pose: refine_with_depth(model, query, pose, references=references),
+        "depth": lambda pose: refine_with_depth(model, query, pose, references=references, others=others),
     }
     results: list[Refinement] = []
     pose = start

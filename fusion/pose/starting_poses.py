@@ -3,14 +3,19 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.camera import PinholeCamera
 from datagen.rigid import Matrix, inverse, transform_points
 from fusion.pose.pose_model import PoseModel
 from fusion.pose.se3 import perturb
 
 TURN_WITH_DEPTH_DEG, TURN_BY_OUTLINE_DEG = 35.0, 30.0
 
-_POINTS, _CELLS_ACROSS = 2000, 16
-"""The model's points that tell which of it is seen, and directions into which it is divided for that."""
+ALL_TURNS_DEG, TURNS_APART_DEG = 45.0, 30.0
+SIDEWAYS = 0.1
+"""Of the query's depth: a shift, to all sides, from which a start half as far off comes right."""
+
+_POINTS, _CELLS_ACROSS, _FEWEST_IN_IMAGE = 2000, 16, 20
+"""The model's points that tell which of it is seen, directions into which it is divided, and points that are enough."""
 
 
 def ring_of_turns(turn_deg: float) -> NDArray[np.float64]:
@@ -22,30 +27,83 @@ def ring_of_turns(turn_deg: float) -> NDArray[np.float64]:
     return twists
 
 
-def starts_about(model: PoseModel, start: Matrix, points_camera: NDArray[np.float64]) -> NDArray[np.float64]:
+def starts_about(
+    model: PoseModel, start: Matrix, points_camera: NDArray[np.float64], camera: PinholeCamera
+) -> NDArray[np.float64]:
     """Return the start and poses (n, 4, 4) about it, each as it is and shifted so that the model is where the depth is.
 
-    They are turned about the model's middle; ``points_camera`` (n, 3) are the query's.
+    They are turned about the model's middle; ``points_camera`` (n, 3) are the query's, which ``camera`` sees.
     """
-    shifted = shifted_onto_depth(model, start[None], points_camera)
+    shifted = shifted_onto_depth(model, start[None], points_camera, camera)
     ring = perturb(ring_of_turns(TURN_WITH_DEPTH_DEG), shifted[0], pivot_world=model.centre_world)
-    return np.concatenate([start[None], shifted_onto_depth(model, ring, points_camera), ring[1:]])
+    return np.concatenate([start[None], shifted_onto_depth(model, ring, points_camera, camera), ring[1:]])
+
+
+def starts_all_about(
+    model: PoseModel, start: Matrix, points_camera: NDArray[np.float64], camera: PinholeCamera
+) -> NDArray[np.float64]:
+    """Return poses (n, 4, 4) that leave no gap about the start: as above, but turned and shifted by all that is likely.
+
+    A part of a scene that fills the image does not tell by its middle how far it is shifted along itself: for that,
+    each turned pose is shifted sideways, too.
+    """
+    middle = np.median(points_camera, axis=0)
+    shifted = shifted_onto_depth(model, start[None], points_camera, camera)[0]
+    turned = perturb(turns_within(ALL_TURNS_DEG, apart_deg=TURNS_APART_DEG), shifted, pivot_world=model.centre_world)
+    turned = shifted_onto_depth(model, turned, points_camera, camera)
+    angles = np.arange(6) * np.pi / 3
+    sideways = SIDEWAYS * middle[2] * np.stack([np.cos(angles), np.sin(angles), np.zeros(6)], axis=-1)
+    poses = np.repeat(turned[:, None], 1 + len(sideways), axis=1)
+    poses[:, 1:, :3, 3] += np.einsum("nij,kj->nki", turned[:, :3, :3], sideways)
+    return poses.reshape(-1, 4, 4)
+
+
+def turns_within(most_deg: float, *, apart_deg: float) -> NDArray[np.float64]:
+    """Return the twists (n, 6) of turns of up to an angle: any such turn is within about half of ``apart_deg`` of one.
+
+    Rotation vectors on a body-centred cubic lattice, which covers space with the fewest balls (Bambah 1954): for
+    a cube of side a they have the radius a √5/4.
+    """
+    side = 4 / 5**0.5 * apart_deg / 2
+    steps = np.arange(-int(most_deg / side) - 1, int(most_deg / side) + 2)
+    corners = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
+    vectors = side * np.concatenate([corners, corners + 0.5])
+    lengths = np.linalg.norm(vectors, axis=1)
+    # Those just outside cover what is just inside: they are drawn in to the largest angle.
+    near = vectors[lengths < most_deg + apart_deg / 4]
+    near *= np.minimum(1, most_deg / np.maximum(np.linalg.norm(near, axis=1), 1e-12))[:, None]
+    twists = np.zeros((len(near), 6))
+    twists[:, 3:] = np.radians(near)
+    return twists
 
 
 def shifted_onto_depth(
-    model: PoseModel, poses: NDArray[np.float64], points_camera: NDArray[np.float64]
+    model: PoseModel, poses: NDArray[np.float64], points_camera: NDArray[np.float64], camera: PinholeCamera
 ) -> NDArray[np.float64]:
-    """Shift poses (n, 4, 4) so that the middle of what they should see of the model is that of the query's points."""
+    """Shift poses (n, 4, 4) so that the middle of what they should see of the model is that of the query's points.
+
+    What they should see is what lies in the image, if anything does; since a shift changes that, it is done twice.
+    """
     points = model.surface_points.numpy()[:_POINTS] + model.origin_world
     normals = model.surface_normals.numpy()[:_POINTS]
     middle_camera = np.median(points_camera, axis=0)
     result = poses.copy()
     for pose in result:
-        facing = ((points - pose[:3, 3]) * normals).sum(axis=1) < 0
-        seen = _in_front(transform_points(inverse(pose), points[facing]), model.diameter)
-        middle = np.median(seen, axis=0) if len(seen) else transform_points(inverse(pose), model.centre_world)
-        pose[:3, 3] += pose[:3, :3] @ (middle - middle_camera)
+        for _time in range(2):
+            facing = ((points - pose[:3, 3]) * normals).sum(axis=1) < 0
+            seen = _in_image(_in_front(transform_points(inverse(pose), points[facing]), model.diameter), camera)
+            middle = np.median(seen, axis=0) if len(seen) else transform_points(inverse(pose), model.centre_world)
+            pose[:3, 3] += pose[:3, :3] @ (middle - middle_camera)
     return result
+
+
+def _in_image(points_camera: NDArray[np.float64], camera: PinholeCamera) -> NDArray[np.float64]:
+    """Return those of the points (n, 3) that are in the image; all where hardly any are."""
+    if not len(points_camera):
+        return points_camera
+    off_middle = np.abs(camera.project(points_camera) - ((camera.width - 1) / 2, (camera.height - 1) / 2))
+    inside = (off_middle < (camera.width / 2, camera.height / 2)).all(axis=1)
+    return points_camera[inside] if inside.sum() >= _FEWEST_IN_IMAGE else points_camera
 
 
 def _in_front(points_camera: NDArray[np.float64], diameter: float) -> NDArray[np.float64]:

@@ -12,7 +12,7 @@ from datagen.rigid import Matrix
 from fusion.devices import Device, launch_in_slabs
 from fusion.pose.se3 import skew
 from fusion.surface.mesh import Mesh
-from fusion.surface.mesh_ray_casting import cast_rays_at_mesh
+from fusion.surface.mesh_ray_casting import Hierarchy, cast_rays_at_mesh, mesh_hierarchy
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
@@ -34,7 +34,7 @@ RADIUS_PERCENTILE, _VIEWS_MEASURED = 98, 50
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ViewIndex:
-    """The model seen from n poses by ``camera``, that of the queries with every ``step``-th pixel.
+    """The model's ``surface`` seen from n poses by ``camera``, that of the queries with every ``step``-th pixel.
 
     ``world_from_camera`` (n, 4, 4); ``depth`` (n, height, width) float32 planar metres, 0 where there is no surface,
     and ``patches`` (n, PATCH_SIDE²) of ``radius`` metres, both on a device; ``middles`` (n, 3) the medians of what is
@@ -45,6 +45,8 @@ class ViewIndex:
     camera, nearest first; depths are counted from the middle, in radii.
     """
 
+    surface: Mesh
+    hierarchy: Hierarchy
     camera: PinholeCamera
     step: int
     world_from_camera: NDArray[np.float64]
@@ -76,7 +78,8 @@ def index_views(surface: Mesh, poses: Sequence[Matrix], camera: PinholeCamera, *
     """
     step = max(camera.width // VIEW_WIDTH, 1)
     small = camera.subsampled(step)
-    depth = cast_rays_at_mesh(surface, small, poses, device=device, depth_only=True).depth
+    hierarchy = mesh_hierarchy(surface, device=device)
+    depth = cast_rays_at_mesh(surface, small, poses, device=device, depth_only=True, hierarchy=hierarchy).depth
     rays = small.back_project(np.ones((small.height, small.width)))
     middles = np.zeros((len(poses), 3))
     reaches = []
@@ -89,6 +92,8 @@ def index_views(surface: Mesh, poses: Sequence[Matrix], camera: PinholeCamera, *
                 away = np.linalg.norm(cloud - middles[view], axis=1)
                 reaches.append(np.percentile(away, RADIUS_PERCENTILE))
     index = ViewIndex(
+        surface=surface,
+        hierarchy=hierarchy,
         camera=small,
         step=step,
         world_from_camera=np.stack(poses),
@@ -99,6 +104,18 @@ def index_views(surface: Mesh, poses: Sequence[Matrix], camera: PinholeCamera, *
         rays=rays,
     )
     return replace(index, patches=view_patches(index, depth, middles))
+
+
+def seen_from(index: ViewIndex, poses: NDArray[np.float64]) -> ViewIndex:
+    """Return the model seen from other ``poses`` (n, 4, 4), as an index without patches: to align with, not to search.
+
+    A surface that is not seen there has a depth of 0, as in any index.
+    """
+    depth = cast_rays_at_mesh(
+        index.surface, index.camera, list(poses), device=index.device, depth_only=True, hierarchy=index.hierarchy
+    ).depth
+    patches = wp.empty((0, 0), dtype=float, device=index.device)
+    return replace(index, world_from_camera=poses, depth=depth, patches=patches, middles=np.zeros((len(poses), 3)))
 
 
 @wp.kernel

@@ -12,8 +12,10 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from fusion.devices import launch_in_slabs
 from fusion.pose.normal_equations import SUMS, Sums, add_residual
+from fusion.pose.small_query import SmallQuery
+from fusion.pose.small_views import Views, pixel_at, point_at, views_of
+from fusion.pose.view_costs import alignment_costs
 from fusion.pose.view_index import ViewIndex
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
@@ -23,13 +25,13 @@ GATES = (0.3, 0.02)
 GATE_SHRINKAGE = 0.7
 LARGEST_DIFFERENCE = 0.02
 """In the query's depth: what lies farther apart, or has no counterpart, disagrees, and counts as much."""
+ROW_STEP = 2
+"""Of the model's pixels that are looked for in the query, every second of every second row."""
 
 Sums64: Any = wp.types.vector(length=SUMS, dtype=wp.float64)
 
 _RUN = 32
 """Points a thread."""
-_LEAST_SLAB = 256
-"""Threads that are not worth being shared among cores: that costs as much as some thousand points do."""
 _HUBER = wp.constant(2.0)
 _FEWEST_POINTS = wp.constant(20.0)
 _DAMPING = wp.constant(wp.float64(1e-6))
@@ -37,32 +39,6 @@ _LARGEST_STEP = wp.constant(wp.float64(0.15))
 """Of a rotation in radians, of a translation in the query's depth."""
 _DEPTH_EDGE = wp.constant(0.06)
 """Pixels two apart whose depths differ by more than this share of them are not of one surface."""
-_ROW_STEP = 2
-"""Of the model's pixels that are looked for in the query, every second of every second row."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class SmallQuery:
-    """A query as small as the index's views: ``depth`` (height, width) planar metres, 0 where there is no surface.
-
-    ``known`` (height, width) is False where the query says nothing: outside a mask, where something else may stand
-    before the model. ``points`` (m, 3) are those to align, in the query's frame, ``middle`` (3,) their median, and
-    ``typical_depth`` its depth. ``points_there``, ``depth_there`` and ``known_there`` are the same on the index's
-    device.
-    """
-
-    depth: NDArray[np.float32]
-    known: NDArray[np.bool_]
-    points: NDArray[np.float64]
-    middle: NDArray[np.float64]
-    points_there: wp.array
-    depth_there: wp.array
-    known_there: wp.array
-
-    @property
-    def typical_depth(self) -> float:
-        """How far away the surface is, metres."""
-        return float(self.middle[2])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,40 +53,12 @@ class Registrations:
 
 
 @wp.struct
-class Views:
-    """Depth images (n, height, width) of the model, metres, and their camera."""
-
-    depth: wp.array3d(dtype=float)
-    intrinsics: wp.vec4
-
-
-@wp.struct
 class Facet:
     """The model's surface at a pixel: a point, its unit normal, and whether there is one."""
 
     point: wp.vec3
     normal: wp.vec3
     known: bool
-
-
-@wp.func
-def pixel_at(views: Views, point: wp.vec3) -> wp.vec2i:
-    """Return the row and column nearest to where a point is seen; −1 where that is outside the image."""
-    if point[2] > 0.0:
-        k = views.intrinsics
-        u = int(wp.floor(k[0] * point[0] / point[2] + k[2] + 0.5))
-        v = int(wp.floor(k[1] * point[1] / point[2] + k[3] + 0.5))
-        if u >= 0 and v >= 0 and u < views.depth.shape[2] and v < views.depth.shape[1]:
-            return wp.vec2i(v, u)
-    return wp.vec2i(-1, -1)
-
-
-@wp.func
-def point_at(views: Views, view: int, v: int, u: int) -> wp.vec3:
-    """Return the point that a pixel sees, in the view's frame; 0 for none."""
-    k = views.intrinsics
-    z = views.depth[view, v, u]
-    return wp.vec3((float(u) - k[2]) / k[0] * z, (float(v) - k[3]) / k[1] * z, z)
 
 
 @wp.func
@@ -239,69 +187,6 @@ def _move(
     translations[start] += wp.vec3(float(shrink * shift[0]), float(shrink * shift[1]), float(shrink * shift[2]))
 
 
-@wp.kernel
-def _compare_points(
-    first: int,
-    views: Views,
-    chosen: wp.array(dtype=int),
-    points: wp.array(dtype=wp.vec3),
-    stride: int,
-    count: int,
-    runs: int,
-    cap: float,
-    rotations: wp.array(dtype=wp.mat33),
-    translations: wp.array(dtype=wp.vec3),
-    differences: wp.array(dtype=wp.vec2),
-) -> None:
-    index = wp.tid() + first
-    start = index / runs
-    run = index % runs
-    total = wp.vec2()
-    for i in range(run * _RUN, wp.min(run * _RUN + _RUN, count)):
-        point = rotations[start] * points[i * stride] + translations[start]
-        pixel = pixel_at(views, point)
-        difference = float(cap)
-        if pixel[0] >= 0:
-            z = views.depth[chosen[start], pixel[0], pixel[1]]
-            if z > 0.0:
-                difference = wp.min(wp.abs(z - point[2]), cap)
-        total += wp.vec2(difference, 1.0)
-    differences[index] = total
-
-
-@wp.kernel
-def _compare_views(
-    first: int,
-    views: Views,
-    chosen: wp.array(dtype=int),
-    query: wp.array2d(dtype=float),
-    known: wp.array2d(dtype=wp.uint8),
-    rows: int,
-    row_step: int,
-    cap: float,
-    rotations: wp.array(dtype=wp.mat33),
-    translations: wp.array(dtype=wp.vec3),
-    differences: wp.array(dtype=wp.vec2),
-) -> None:
-    index = wp.tid() + first
-    start = index / rows
-    v = row_step * (index % rows)
-    back = wp.transpose(rotations[start])
-    total = wp.vec2()
-    for u in range(0, views.depth.shape[2], row_step):
-        target = point_at(views, chosen[start], v, u)
-        if target[2] > 0.0:
-            point = back * (target - translations[start])
-            pixel = pixel_at(views, point)
-            if pixel[0] >= 0:
-                seen = query[pixel[0], pixel[1]]
-                # What lies behind another surface of the query is occluded, what its mask leaves out unknown.
-                if known[pixel[0], pixel[1]] != wp.uint8(0) and (seen == 0.0 or point[2] - seen < cap):
-                    difference = wp.where(seen == 0.0, cap, wp.min(wp.abs(point[2] - seen), cap))
-                    total += wp.vec2(difference, 1.0)
-    differences[index] = total
-
-
 def register(
     index: ViewIndex,
     views: NDArray[np.int64],
@@ -311,16 +196,17 @@ def register(
     points: int,
     iterations: int,
     widest_gate: float = GATES[0],
+    row_step: int = ROW_STEP,
+    largest_difference: float = LARGEST_DIFFERENCE,
 ) -> Registrations:
     """Align a query with k ``views`` of the index.
 
     ``start`` (k, 4, 4) are first guesses of view_from_query; about ``points`` of the query are used; ``widest_gate`` is
-    how far apart points may lie at first, in the query's depth. Views of which too few points agree keep the pose that
-    they had.
+    how far apart points may lie at first, in the query's depth. Costs are those of
+    ``alignment_costs``. Views of which too few points agree keep the pose that they had.
     """
     device, depth = index.device, query.typical_depth
-    images = Views()
-    images.depth, images.intrinsics = index.depth, index.intrinsics
+    images = views_of(index)
     chosen = wp.array(views.astype(np.int32), dtype=int, device=device)
     rotations = wp.array(start[:, :3, :3].astype(np.float32), dtype=wp.mat33, device=device)
     translations = wp.array(start[:, :3, 3].astype(np.float32), dtype=wp.vec3, device=device)
@@ -345,37 +231,14 @@ def register(
             gate = max(GATE_SHRINKAGE * gate, GATES[1] * depth)
     view_from_query = np.tile(np.eye(4), (len(views), 1, 1))
     view_from_query[:, :3, :3], view_from_query[:, :3, 3] = rotations.numpy(), translations.numpy()
-    costs = _costs(images, chosen, query, rotations, translations, stride=stride)
+    costs = alignment_costs(
+        images,
+        chosen,
+        query,
+        rotations,
+        translations,
+        stride=stride,
+        row_step=row_step,
+        largest_difference=largest_difference,
+    )
     return Registrations(view_from_query=view_from_query, costs=costs)
-
-
-def _costs(
-    images: Views,
-    chosen: wp.array,
-    query: SmallQuery,
-    rotations: wp.array,
-    translations: wp.array,
-    *,
-    stride: int,
-) -> NDArray[np.float64]:
-    """Return the mean difference in depth, capped, of the query's points from the model and of model's from it."""
-    cap = LARGEST_DIFFERENCE * query.typical_depth
-    count = -(-len(query.points) // stride)
-    runs, rows = -(-count // _RUN), -(-images.depth.shape[1] // _ROW_STEP)
-    both = []
-    for kernel, threads, inputs in (
-        (_compare_points, runs, [query.points_there, stride, count, runs]),
-        (_compare_views, rows, [query.depth_there, query.known_there, rows, _ROW_STEP]),
-    ):
-        differences = wp.empty(len(chosen) * threads, dtype=wp.vec2, device=chosen.device)
-        launch_in_slabs(
-            kernel,
-            dim=len(differences),
-            inputs=[images, chosen, *inputs, cap, rotations, translations],
-            outputs=[differences],
-            device=chosen.device,
-            least_slab=_LEAST_SLAB,
-        )
-        total, counted = differences.numpy().reshape(len(chosen), threads, 2).sum(axis=1, dtype=np.float64).T
-        both.append(np.where(counted > 0, total / np.maximum(counted, 1), cap))
-    return np.asarray(sum(both) / (2 * cap))

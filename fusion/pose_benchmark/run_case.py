@@ -41,9 +41,8 @@ def run_case(case: Case) -> CaseResult:
         task = make_task(case)
     except InputError as error:
         return outline.model_copy(update={"failure": str(error)})
-    results, cost = timed(
-        lambda: refine(case.subject.model, task.query, task.references, task.start, case.trial.stages)
-    )
+    model, stages = case.subject.model, case.trial.stages
+    results, cost = timed(lambda: refine(model, task.query, task.references, task.start, stages, others=task.others))
     estimate = results[-1].world_from_camera
     verdict = assess(case.subject.model, task.query, results).verdict
     return outline.model_copy(

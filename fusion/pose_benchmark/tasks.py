@@ -55,7 +55,10 @@ class Case:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Task:
-    """What a case gives to whoever locates: the query, where to start, and the fused frames nearest to that."""
+    """What a case gives to whoever locates: the query, where to start, and the fused frames nearest to that.
+
+    ``others`` are what else the search for the nearest view has found, None where the start is not from there.
+    """
 
     case: Case
     view: View
@@ -63,6 +66,7 @@ class Task:
     start: Matrix
     nearest: NearestFound | None
     references: tuple[ReferenceFrame, ...]
+    others: list[Matrix] | None = None
 
     @property
     def truth(self) -> Matrix:
@@ -94,6 +98,7 @@ def make_task(case: Case) -> Task:
         start=found.estimate,
         nearest=_nearest(fused, exact, found, cost),
         references=_references(fused, trial, found),
+        others=list(found.others) if isinstance(found, NearestPose) else None,
     )
 
 

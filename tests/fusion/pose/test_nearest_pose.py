@@ -6,7 +6,8 @@ from datagen.camera import PinholeCamera
 from datagen.errors import InputError
 from datagen.rigid import look_at
 from fusion.pose.located_record import pose_error
-from fusion.pose.nearest_pose import find_nearest_pose, pose_distances
+from fusion.pose.nearest_pose import find_nearest_pose
+from fusion.pose.pose_distance import pose_distances
 from fusion.pose.view_index import index_views
 from fusion.surface.mesh import Mesh
 from fusion.surface.mesh_ray_casting import cast_rays_at_mesh

@@ -8,9 +8,10 @@ from scipy.spatial.transform import Rotation
 from three_balls import CAMERA, CENTRES, OFFSET, RADII, see, twist
 
 from datagen.rigid import look_at
-from fusion.pose.nearest_pose import pose_distances, small_query
 from fusion.pose.normal_equations import SUMS
+from fusion.pose.pose_distance import pose_distances
 from fusion.pose.se3 import exp_se3, perturb
+from fusion.pose.small_query import small_query
 from fusion.pose.view_index import PATCH_SIDE, index_views, patch_differences, turn_between
 from fusion.pose.view_registration import Sums64, register, solve_symmetric
 from fusion.surface.mesh import Mesh

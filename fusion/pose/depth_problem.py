@@ -1,0 +1,130 @@
+"""A query's depth against a model, as a refinement by depth asks of it: residuals, descents, and how good a pose is.
+
+A pose is judged both ways: the query's points in the model's field, and the model's surface against the query.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.camera import PinholeCamera
+from datagen.rigid import Matrix, transform_points
+from fusion.pose.levenberg_marquardt import Descent, descend
+from fusion.pose.normal_equations import (
+    GEMAN_MCCLURE,
+    INLIER_SIGMAS,
+    Normals,
+    Robustness,
+    normal_equations,
+    point_residuals,
+)
+from fusion.pose.pose_model import PoseModel
+from fusion.pose.query import Query, QueryCloud
+from fusion.pose.view_overlap import QueryView, agreement, overlap, query_view
+
+MIDDLE_POINTS = 2000
+_MODEL_NOISE_VOXELS = 0.12
+"""Standard deviation of a fused field's distance, in voxels, of what is well seen; it is added to a point's own."""
+_INLIER_VOXELS = 1.5
+"""A point is an inlier within this much of the surface, or within 3.5 standard deviations where that is more: no fused
+surface is to be trusted to less than a voxel everywhere."""
+_EXPLAINED = 0.65
+"""Share of the query's points, and of the model's surface, from which on one start is enough."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DepthProblem:
+    """A query against a model; lengths are metres. ``pivot_world`` (3,) is what poses are turned about."""
+
+    model: PoseModel
+    camera: PinholeCamera
+    cloud: QueryCloud
+    view: QueryView
+    floor: float
+    pivot_world: NDArray[np.float64]
+    radius: float
+
+    @property
+    def inlier_within(self) -> float:
+        """How near the surface a point without noise has to be, to count as explained."""
+        return max(INLIER_SIGMAS * self.floor, _INLIER_VOXELS * self.model.voxel_size)
+
+    @property
+    def tolerance(self) -> float:
+        """How far depths that agree may be apart."""
+        return max(self.inlier_within, INLIER_SIGMAS * float(np.hypot(self.floor, self.cloud.sigma_median)))
+
+    def descend(
+        self, poses: NDArray[np.float64], *, count: int, kind: int, scales: NDArray[np.float64], iterations: int
+    ) -> Descent:
+        """Move poses (n, 4, 4) downhill by the cloud's first ``count`` points and robust kernels (n,) of ``scales``."""
+        count = min(count, self.cloud.count)
+        robustness = Robustness(kind=kind, scales=scales, floor=self.floor, inlier_within=INLIER_SIGMAS * self.floor)
+
+        def equations(at: NDArray[np.float64]) -> Normals:
+            return normal_equations(
+                self.model, self.cloud, at, count=count, pivot_world=self.pivot_world, robustness=robustness
+            )
+
+        return descend(
+            equations,
+            poses,
+            pivot_world=self.pivot_world,
+            radius_m=self.radius,
+            iterations=iterations,
+            enough_m=1e-3 * self.floor,
+        )
+
+    def spread(self, poses: NDArray[np.float64], *, count: int) -> NDArray[np.float64]:
+        """Return the robust standard deviation (n,) of the residuals that are there, at least the model's own."""
+        count = min(count, self.cloud.count)
+        residuals = np.abs(
+            point_residuals(
+                self.model, self.cloud, poses, count=count, floor=self.floor, inlier_within=self.inlier_within
+            )
+        )
+        known = np.isfinite(residuals)
+        # Where fewer than a half have a field the median is of those that have.
+        residuals[~known] = np.nan
+        residuals[~known.any(axis=1)] = self.radius
+        return np.maximum(1.4826 * np.nanmedian(residuals, axis=1), self.floor)
+
+    def agreements(self, poses: NDArray[np.float64], *, within: float) -> NDArray[np.float64]:
+        """Return the share (n,) of the model's surface, as far as it should be seen, that the query shows."""
+        return agreement(overlap(self.model, self.view, poses, within=within))
+
+    def scores(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return how well poses (n, 4, 4) explain the view, from 0 to 1: the geometric mean of both ways."""
+        wide = Robustness(
+            kind=GEMAN_MCCLURE,
+            scales=np.full(len(poses), 4 * self.floor),
+            floor=self.floor,
+            inlier_within=self.inlier_within,
+        )
+        count = min(MIDDLE_POINTS, self.cloud.count)
+        normals = normal_equations(
+            self.model, self.cloud, poses, count=count, pivot_world=self.pivot_world, robustness=wide
+        )
+        agreed = self.agreements(poses, within=2 * self.tolerance)
+        return np.sqrt(np.maximum(1 - 2 * normals.cost, 0) * agreed)
+
+    def explained_by(self, found: Descent) -> bool:
+        """Tell whether a descent explains the view well enough that no other start is needed."""
+        agreed = self.agreements(found.poses, within=2 * self.tolerance)
+        return bool(found.normals.inliers[0] > _EXPLAINED and agreed[0] > _EXPLAINED)
+
+
+def depth_problem(model: PoseModel, query: Query, cloud: QueryCloud, start: Matrix) -> DepthProblem:
+    """Choose the pivot, in the middle of what is seen: turning and shifting about it are nearly independent there."""
+    points = transform_points(start, cloud.points_camera)
+    pivot = np.median(points, axis=0)
+    return DepthProblem(
+        model=model,
+        camera=query.camera,
+        cloud=cloud,
+        view=query_view(query, model=model),
+        floor=_MODEL_NOISE_VOXELS * model.voxel_size,
+        pivot_world=pivot,
+        radius=max(float(np.sqrt(((points - pivot) ** 2).sum(axis=1).mean())), 4 * model.voxel_size),
+    )

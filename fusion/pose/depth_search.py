@@ -1,0 +1,102 @@
+"""Descents by depth from one start and from many: from few points to many, and from a wide kernel to a narrow one.
+
+Starts compete: each round descends with more points from fewer of them, those that explain the view best both ways.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.rigid import Matrix
+from fusion.pose.depth_problem import MIDDLE_POINTS, DepthProblem
+from fusion.pose.levenberg_marquardt import Descent
+from fusion.pose.normal_equations import GEMAN_MCCLURE, TUKEY
+from fusion.pose.starting_poses import shifted_onto_depth
+
+CLEARLY = 1.03
+"""By this factor a pose farther from the start has to explain the view better, lest symmetry turn the model round."""
+
+_TUKEY_SIGMAS = 4.685
+"""Tukey's kernel of this many standard deviations has 95 % of the efficiency of least squares."""
+_COARSE_POINTS = 500
+_COARSE_ROUNDS, _COARSE_STEPS, _MIDDLE_STEPS, _FINE_STEPS = 4, 4, 6, 12
+_MANY_POINTS, _KEPT = 300, 4
+_FEW_POINTS, _FEW_ROUNDS, _KEPT_OF_HUNDREDS = 100, 3, 24
+_HUNDREDS = 60
+"""Starts, from which on they first descend with fewer points."""
+
+
+def from_one(problem: DepthProblem, start: Matrix, others: NDArray[np.float64]) -> Descent:
+    """Descend from one start, coarse to fine; as it is, and shifted so that the model is where the depth is.
+
+    ``others`` (m, 4, 4) are taken instead where they explain the view clearly better.
+    """
+    shifted = shifted_onto_depth(problem.model, start[None], problem.cloud.points_camera, problem.camera)
+    poses, spent = coarse(problem, np.concatenate([start[None], shifted, others]), count=_COARSE_POINTS)
+    scores = problem.scores(poses)
+    best = int(scores[:2].argmax())
+    found = fine(problem, poses[best][None])
+    spent += found.iterations
+    if len(others) and scores[2:].max() > scores[best]:
+        other = fine(problem, poses[2 + int(scores[2:].argmax())][None])
+        spent += other.iterations
+        found = better(problem, found, other)
+    return replace(found, iterations=spent)
+
+
+def coarse(
+    problem: DepthProblem, poses: NDArray[np.float64], *, count: int, rounds: int = _COARSE_ROUNDS
+) -> tuple[NDArray[np.float64], int]:
+    """Descend with few points and a kernel that narrows as the misfit does (graduated non-convexity)."""
+    spent = 0
+    widest = np.full(len(poses), np.inf)
+    for _round in range(rounds):
+        # Never wider than half of the last: an outlier half of the points would hold it open.
+        scales = np.minimum(2 * problem.spread(poses, count=count), 0.7 * widest)
+        widest = scales = np.maximum(scales, 3 * problem.floor)
+        found = problem.descend(poses, count=count, kind=GEMAN_MCCLURE, scales=scales, iterations=_COARSE_STEPS)
+        poses, spent = found.poses, spent + found.iterations
+    return poses, spent
+
+
+def fine(problem: DepthProblem, poses: NDArray[np.float64]) -> Descent:
+    """Descend with more points, then with all, each with the kernel that the residuals ask for."""
+    spent = 0
+    for count, steps in ((MIDDLE_POINTS, _MIDDLE_STEPS), (problem.cloud.count, _FINE_STEPS)):
+        scales = _TUKEY_SIGMAS * np.minimum(problem.spread(poses, count=MIDDLE_POINTS), 10 * problem.floor)
+        found = problem.descend(poses, count=count, kind=TUKEY, scales=scales, iterations=steps)
+        poses, spent = found.poses, spent + found.iterations
+    return replace(found, iterations=spent)
+
+
+def from_many(problem: DepthProblem, poses: NDArray[np.float64]) -> Descent:
+    """Descend from many starts (n, 4, 4) with few points, from the best of them with more, and from the best of all."""
+    spent = 0
+    if len(poses) > _HUNDREDS:
+        poses, spent = coarse(problem, poses, count=_FEW_POINTS, rounds=_FEW_ROUNDS)
+        poses = _best(problem, poses, _KEPT_OF_HUNDREDS)
+    poses, more = coarse(problem, poses, count=_MANY_POINTS)
+    spent += more
+    for count in (_KEPT, 1):
+        poses = _best(problem, poses, count)
+        found = problem.descend(
+            poses,
+            count=MIDDLE_POINTS,
+            kind=GEMAN_MCCLURE,
+            scales=np.clip(2 * problem.spread(poses, count=MIDDLE_POINTS), 3 * problem.floor, 0.05 * problem.radius),
+            iterations=_MIDDLE_STEPS,
+        )
+        poses, spent = found.poses, spent + found.iterations
+    best = fine(problem, poses)
+    return replace(best, iterations=spent + best.iterations)
+
+
+def better(problem: DepthProblem, first: Descent, second: Descent) -> Descent:
+    """Return the second of two descents, each of one pose, if it explains the view clearly better than the first."""
+    scores = problem.scores(np.concatenate([first.poses, second.poses]))
+    return second if scores[1] > CLEARLY * scores[0] else first
+
+
+def _best(problem: DepthProblem, poses: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+    return poses[np.argsort(-problem.scores(poses), kind="stable")[:count]]
