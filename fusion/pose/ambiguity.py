@@ -17,7 +17,7 @@ from fusion.pose.normal_equations import GEMAN_MCCLURE, Normals, Robustness, nor
 from fusion.pose.pose_model import PoseModel
 from fusion.pose.query import Query, query_cloud
 from fusion.pose.se3 import log_so3, perturb
-from fusion.pose.uncertainty import Uncertainty, describe_direction
+from fusion.pose.uncertainty import Uncertainty, describe_direction, sense_of_axis
 
 AS_GOOD = 0.02
 """Share of the object's pixels by which another pose may explain fewer, and still be as good."""
@@ -38,8 +38,8 @@ _SYMMETRIC_VOXELS, _SYMMETRIC_SHARE, _SYMMETRIC_MOST = 2.0, 0.02, 0.95
 class Alternative:
     """Another pose, world_from_camera, that explains the view as well.
 
-    It is the pose found after the model is turned by ``turn_deg`` about ``axis`` (3,), in the model's frame;
-    ``symmetric`` where the model looks the same from all sides after that.
+    To the camera it is the pose found with the model turned by ``turn_deg`` about ``axis`` (3,), in the model's frame
+    and right-handed; ``symmetric`` where the model looks the same from all sides after that.
     """
 
     world_from_camera: Matrix
@@ -50,7 +50,7 @@ class Alternative:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Ambiguity:
-    """``weak`` names the directions along which the pose can move, and how far; ``alternatives`` are poses far off."""
+    """``weak`` names the directions along which the model can move, and how far; ``alternatives`` are poses far off."""
 
     weak: tuple[str, ...] = ()
     alternatives: tuple[Alternative, ...] = ()
@@ -85,7 +85,7 @@ def find_ambiguity(model: PoseModel, query: Query, world_from_camera: Matrix, kn
 
 
 def _valleys(model: PoseModel, compare: Comparison, pose: Matrix, known: Uncertainty, enough: float) -> tuple[str, ...]:
-    """Name the least known directions in which the pose can be moved far while it explains the view."""
+    """Name the least known directions in which the model can be moved far while the pose explains the view."""
     names = []
     for direction in known.directions[::-1][:_DIRECTIONS]:
         twist = direction / np.array([1, 1, 1, *3 * [known.radius_m]])
@@ -100,11 +100,16 @@ def _valleys(model: PoseModel, compare: Comparison, pose: Matrix, known: Uncerta
 
 
 def _how_far(direction: NDArray[np.float64], back: float, ahead: float, known: Uncertainty, diameter: float) -> str:
-    turn = np.linalg.norm(direction[3:]) / known.radius_m
-    shift = np.linalg.norm(direction[:3])
-    low, high = -back * diameter, ahead * diameter
-    if turn * known.radius_m > 0.3:
-        return f", from {np.degrees(low * turn):.0f}° to {np.degrees(high * turn):+.0f}°"
+    """Say how far the model may move along the axis that the direction is named by; twists are the camera's motion."""
+    turn, shift = float(np.linalg.norm(direction[3:])), float(np.linalg.norm(direction[:3]))
+    turns = turn > 0.3
+    # As the camera moves one way, the model, to its eyes, moves the other way.
+    if sense_of_axis(direction[3:] if turns else direction[:3]) > 0:
+        back, ahead = ahead, back
+    low, high = 0.0 - back * diameter, ahead * diameter
+    if turns:
+        scale = float(np.degrees(turn / known.radius_m))
+        return f", from {low * scale:.0f}° to {high * scale:+.0f}°"
     return f", from {1000 * low * shift:.0f} to {1000 * high * shift:+.0f} mm"
 
 
@@ -145,8 +150,8 @@ def _settled(model: PoseModel, query: Query, poses: NDArray[np.float64], known: 
 
 def _alternative(model: PoseModel, found: Matrix, other: Matrix) -> Alternative:
     """Describe another pose by the motion of the model that it amounts to."""
-    # The camera stays: the model, as the camera sees it, is turned by this, in its own frame.
-    moved = inverse(found @ inverse(other))
+    # The camera stays: inverse(other) = inverse(found) · moved, so the model is moved by this, in its own frame.
+    moved = found @ inverse(other)
     angle = rotation_angle_deg(moved)
     turn = log_so3(moved[:3, :3])
     axis = turn / max(float(np.linalg.norm(turn)), 1e-12)

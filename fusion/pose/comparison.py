@@ -32,7 +32,8 @@ class Comparison:
         """Return how badly each of the poses (n, 4, 4), world_from_camera, explains the view (n,).
 
         The mean, over as many pixels as the object has, of the squared difference in depth in tolerances, at most 1;
-        an object's pixel without model, and a model's that the query looks through or has no object at, count 1.
+        an object's pixel without model counts 1, and so does a model's at which the query has no object, but for
+        where something else stands before it.
         """
         rendered = cast_rays_at_mesh(
             self.model.mesh,
@@ -50,8 +51,10 @@ class Comparison:
         here = measured if self.mask is None else measured & self.mask
         difference = (self.depth - rendered) / self.tolerance
         cost = np.where(here, np.where(seen, np.minimum(difference**2, 1), 1.0), 0.0)
-        behind = seen & measured & ~here & (difference > -1)
-        return np.asarray((cost.sum(axis=(1, 2)) + behind.sum(axis=(1, 2))) / max(here.sum(), 1))
+        elsewhere = seen & ~(measured if self.mask is None else self.mask)
+        # Where nothing is measured nothing is known to hide the model: it is too far away, or there is nothing.
+        beside = elsewhere & (~measured | (difference > -1))
+        return np.asarray((cost.sum(axis=(1, 2)) + beside.sum(axis=(1, 2))) / max(here.sum(), 1))
 
 
 def comparison(model: PoseModel, query: Query, world_from_camera: Matrix) -> Comparison | None:

@@ -30,7 +30,7 @@ class Confidence:
         """The directions that are not fixed, in words."""
         known = () if self.uncertainty is None else self.uncertainty.weak
         # What can be moved far is told with how far.
-        told = [name.split(",")[0] for name in self.ambiguity.weak]
+        told = [name.partition(", from ")[0] for name in self.ambiguity.weak]
         return (*self.ambiguity.weak, *(name for name in known if name not in told))
 
 

@@ -123,10 +123,15 @@ def describe_direction(direction: NDArray[np.float64]) -> str:
     return f"sliding along {_axis(direction[:3])} while turning about {_axis(direction[3:])}"
 
 
+def sense_of_axis(vector: NDArray[np.float64]) -> float:
+    """Return 1 where ``vector`` (3,) points the way that its axis is named by, and −1 where it points back."""
+    return 1.0 if vector[int(np.argmax(np.abs(vector)))] >= 0 else -1.0
+
+
 def _axis(vector: NDArray[np.float64]) -> str:
     unit = vector / np.linalg.norm(vector)
     largest = int(np.argmax(np.abs(unit)))
     if abs(unit[largest]) > 0.98:
         return f"the model's {_AXES[largest]}"
-    unit = unit * np.sign(unit[largest])
+    unit = unit * sense_of_axis(unit)
     return "(" + ", ".join(f"{value:.2f}" for value in unit) + ")"

@@ -1,0 +1,22 @@
+import numpy as np
+import pytest
+import warp as wp
+
+from fusion.devices import SlabLaunch
+
+
+@wp.kernel
+def _add_own_index(first: int, start: wp.array(dtype=int), result: wp.array(dtype=int)):
+    index = wp.tid() + first
+    result[index] += start[0] + index
+
+
+@pytest.mark.parametrize(("dim", "least_slab"), [(1, 1), (7, 100), (1000, 1), (1001, 64)])
+def test_each_index_is_launched_once_and_again_with_what_then_lies_in_the_arrays(device, dim, least_slab):
+    start, result = wp.zeros(1, dtype=int, device=device), wp.zeros(dim, dtype=int, device=device)
+    launch = SlabLaunch(_add_own_index, dim=dim, inputs=[start], outputs=[result], device=device, least_slab=least_slab)
+    launch.run()
+    np.testing.assert_array_equal(result.numpy(), np.arange(dim))
+    start.fill_(5)
+    launch.run()
+    np.testing.assert_array_equal(result.numpy(), 5 + 2 * np.arange(dim))
