@@ -6,9 +6,13 @@ module for others: there the application itself runs the module, without an inte
 
 import os
 import sys
+from pathlib import Path
 
 PROGRAM_VARIABLE = "SCANBACK_BLENDER"
 """Environment variable that names a Blender application, for those who have no bpy module."""
+
+EXTENSIONS_VARIABLE = "BLENDER_USER_EXTENSIONS"
+"""Blender's own: where the user's extensions are."""
 
 _RUN_MODULE = (
     "import runpy, sys; sys.argv = sys.argv[sys.argv.index('--') + 1:]; "
@@ -32,3 +36,14 @@ def module_command(module: str, *arguments: str) -> list[str]:
         return [sys.executable, "-m", module, *arguments]
     options = ["--background", "--factory-startup", "--python-use-system-env", "--python-exit-code", "1"]
     return [program, *options, "--python-expr", _RUN_MODULE, "--", module, *arguments]
+
+
+def module_environment(folder: Path) -> dict[str, str]:
+    """Return the environment for ``module_command``, with an empty folder for extensions made in ``folder``.
+
+    The Blender that we start has no extension enabled, and one that is reset in that state, application or module,
+    removes the wheels of all extensions that it finds: those of the user's own Blender, were they there.
+    """
+    extensions = folder / "extensions"
+    extensions.mkdir(exist_ok=True)
+    return {**os.environ, EXTENSIONS_VARIABLE: str(extensions)}

@@ -18,7 +18,7 @@ from typing import Any, Literal
 
 import psutil
 
-from datagen.blender_program import module_command
+from datagen.blender_program import module_command, module_environment
 from datagen.dataset_format import METADATA_FILE
 from datagen.errors import InputError, WorkerError
 from datagen.rendering.scratch import hold, make_scratch
@@ -91,6 +91,7 @@ class RenderWorker:
             stdout=subprocess.PIPE,
             stderr=self._log,
             encoding="utf-8",
+            env=module_environment(self._scratch),
             # Ctrl-C in a terminal reaches every process of its group; the parent alone is to answer it.
             start_new_session=True,
         )

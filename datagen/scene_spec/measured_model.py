@@ -3,11 +3,12 @@
 import json
 import math
 import subprocess
+import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from datagen.blender_program import module_command
+from datagen.blender_program import module_command, module_environment
 from datagen.errors import InputError, WorkerError
 
 MEASURING_MODULE = "datagen.blender.measure"
@@ -43,9 +44,16 @@ class MeasuredModel:
 
 def measure_model(path: Path) -> MeasuredModel:
     """Ask Blender about a model file. Raises InputError where it cannot be used or Blender is not installed."""
-    done = subprocess.run(  # noqa: S603 - our own module
-        module_command(MEASURING_MODULE, str(path)), capture_output=True, text=True, check=False
-    )
+    with tempfile.TemporaryDirectory(prefix="scanback-measure-") as folder:
+        done = subprocess.run(  # noqa: S603 - our own module
+            module_command(MEASURING_MODULE, str(path)),
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            encoding="utf-8",
+            errors="replace",
+            env=module_environment(Path(folder)),
+            check=False,
+        )
     try:
         answer = json.loads(done.stdout[done.stdout.find("{") :])
     except ValueError:

@@ -7,6 +7,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 
 from datagen.blender_program import PROGRAM_VARIABLE, module_command
@@ -44,6 +45,17 @@ def test_the_end_of_the_input_interrupts(waiting_for: str) -> None:
         assert process.poll() is None
         process.stdin.close()
         assert process.wait(timeout=5) == 77
+
+
+def test_the_input_is_kept_from_processes_that_are_started() -> None:
+    """One that had it too would take it away, and on Windows wait for it before its first line."""
+    code = (
+        "import subprocess, sys; from datagen.parent_process import end_with_input; end_with_input(); "
+        "sys.exit(subprocess.run([sys.executable, '-c', 'import sys; sys.exit(len(sys.stdin.read()))'],"
+        " timeout=10).returncode)"
+    )
+    with subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.wait(timeout=20) == 0
 
 
 def test_the_command_line_ends_with_its_input(tmp_path: Path) -> None:
@@ -90,25 +102,27 @@ def test_what_blender_is_given_to_run_runs_the_module(monkeypatch: pytest.Monkey
 def test_exr_files_are_read_by_another_process_as_by_this_one(tmp_path: Path) -> None:
     """As in a Blender application, where the module OpenEXR must not be loaded."""
     OpenEXR = pytest.importorskip("OpenEXR")  # noqa: N806
-    from datagen.blender import exr_process
-    from datagen.blender.exr_reader import read_file
+    from datagen.blender.exr_process import end_reader, read_file
+    from datagen.blender.exr_reader import read_file as read_here
 
     channels = {name: np.random.default_rng(0).random((4, 5), dtype=np.float32) for name in ("View.Depth.Z", "A")}
     header = {"compression": OpenEXR.NO_COMPRESSION, "type": OpenEXR.scanlineimage}
-    OpenEXR.File(header, dict(channels)).write(str(tmp_path / "image.exr"))
-    here = read_file(tmp_path / "image.exr")
+    image = tmp_path / "Bild für\nzwei.exr"
+    OpenEXR.File(header, dict(channels)).write(str(image))
+    here = read_here(image)
     for _ in range(2):
-        there = exr_process.read_file(tmp_path / "image.exr")
+        there = read_file(image)
         assert there.keys() == here.keys()
         for name, channel in channels.items():
             np.testing.assert_array_equal(there[name], channel)
-    assert [path.name for path in tmp_path.iterdir()] == ["image.exr"]
+    assert list(tmp_path.iterdir()) == [image]
     with pytest.raises(RuntimeError, match=r"none\.exr: "):
-        exr_process.read_file(tmp_path / "none.exr")
-    reader = exr_process._reader()
-    assert reader.stdin is not None
-    reader.stdin.close()
-    assert reader.wait(timeout=10) == 0
-    assert reader.stdout is not None
-    reader.stdout.close()
-    exr_process._reader.cache_clear()
+        read_file(tmp_path / "none.exr")
+    (process,) = (child for child in psutil.Process().children() if "exr_reader" in " ".join(child.cmdline()))
+    process.kill()
+    process.wait(10)
+    with pytest.raises(RuntimeError, match="the process that reads EXR files ended"):
+        read_file(image)
+    assert read_file(image).keys() == here.keys()
+    end_reader()
+    assert not [child for child in psutil.Process().children() if "exr_reader" in " ".join(child.cmdline())]
