@@ -32,16 +32,19 @@ def descend(
     radius_m: float,
     iterations: int,
     enough_m: float,
+    rough_m: float = 0.0,
 ) -> Descent:
     """Move poses (n, 4, 4) downhill until no point within ``radius_m`` of the pivot moves by ``enough_m`` any more.
 
-    A pose whose step makes its cost greater stays, and is damped more.
+    A pose whose step makes its cost greater stays, and is damped more. Where the cost is not smooth to less than
+    ``rough_m``, a step no longer than that which does not lead downhill is the last, too.
     """
     normals = equations(poses)
     damping = np.full(len(poses), _FIRST_DAMPING)
     steps = np.full(len(poses), np.inf)
+    there = np.zeros(len(poses), bool)
     done = 0
-    while done < iterations:
+    while done < iterations and not there.all():
         done += 1
         twists = _damped_steps(normals, damping, radius_m)
         candidates = perturb(twists, poses, pivot_world=pivot_world)
@@ -52,8 +55,7 @@ def descend(
         poses = np.where(better[:, None, None], candidates, poses)
         normals = _choose(better, found, normals)
         steps = np.where(better, lengths, np.minimum(steps, lengths))
-        if (lengths < enough_m).all():
-            break
+        there |= (lengths < enough_m) | (~better & (lengths < rough_m))
     return Descent(poses=poses, normals=normals, iterations=done, last_steps_m=steps)
 
 

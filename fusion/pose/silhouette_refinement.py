@@ -87,13 +87,17 @@ class _Problem:
 
     def descend(self, number: int, poses: Poses) -> Descent:
         level = self.levels[number]
+        # As the pose that is nearest sees it, a pixel at the model's middle.
+        away = np.linalg.norm(poses[:, :3, 3] - self.pivot_world, axis=1).min()
+        metres_a_pixel = float(away) / level.camera.fx
         return descend(
             lambda at: self.normals(number, at),
             poses,
             pivot_world=self.pivot_world,
             radius_m=self.radius,
             iterations=level.iterations,
-            enough_m=level.enough * self.model.diameter,
+            enough_m=level.enough_px * metres_a_pixel,
+            rough_m=level.rough_px * metres_a_pixel,
         )
 
     def overlaps(self, number: int, poses: Poses) -> NDArray[np.float64]:

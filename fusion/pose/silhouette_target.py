@@ -16,7 +16,9 @@ _WIDTHS = (40, 80, 160, 320)
 """About how many pixels wide the levels' images are."""
 _SOFTNESS_PX = (1.5, 1.2, 1.0, 0.8)
 _ITERATIONS = (8, 6, 6, 8)
-_ENOUGH = (3e-3, 1e-3, 5e-4, 1e-4)
+_ENOUGH_PX = (0.3, 0.3, 0.2, 0.03)
+_ROUGH_PX = 0.3
+"""Of a level's pixels: rays' nearest approaches jump between the field's cells, so costs are no smoother than that."""
 _WHOLE_LEVELS = 2
 """How many of them have all pixels of their image; the others those near the mask's edge."""
 _BAND_SIGMAS = 3.0
@@ -30,8 +32,8 @@ class Level:
     """One size of the image and one width of the blur: what the silhouette is compared with.
 
     ``pixels`` (n, 2) of ``camera``, ``target`` (n,) the blurred mask there; ``softness_px`` in that camera's pixels. At
-    most ``iterations`` are worth it; a step that moves the model by less than the share ``enough`` of its size is the
-    last.
+    most ``iterations`` are worth it; a step that moves the model by less than ``enough_px`` is the last, and so is one
+    of less than ``rough_px`` that does not lead downhill.
     """
 
     camera: PinholeCamera
@@ -39,14 +41,15 @@ class Level:
     target: NDArray[np.float64]
     softness_px: float
     iterations: int
-    enough: float
+    enough_px: float
+    rough_px: float = _ROUGH_PX
 
 
 def silhouette_levels(mask: NDArray[np.bool_], camera: PinholeCamera) -> list[Level]:
     """Return what the silhouette is compared with, coarse to fine, for a mask (height, width) of ``camera``."""
     levels = []
-    settings = zip(_WIDTHS, _SOFTNESS_PX, _ITERATIONS, _ENOUGH, strict=True)
-    for number, (width, softness_px, iterations, enough) in enumerate(settings):
+    settings = zip(_WIDTHS, _SOFTNESS_PX, _ITERATIONS, _ENOUGH_PX, strict=True)
+    for number, (width, softness_px, iterations, enough_px) in enumerate(settings):
         step = max(round(camera.width / width), 1)
         blurred = blurred_mask(mask, softness_px * step, step)
         wanted = np.ones(blurred.shape, bool)
@@ -61,7 +64,7 @@ def silhouette_levels(mask: NDArray[np.bool_], camera: PinholeCamera) -> list[Le
                 target=blurred[v, u].astype(np.float64),
                 softness_px=softness_px,
                 iterations=iterations,
-                enough=enough,
+                enough_px=enough_px,
             )
         )
     return levels

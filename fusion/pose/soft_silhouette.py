@@ -177,5 +177,5 @@ def _teller(finder: ApproachFinder, pixels: NDArray[np.floating], reach: int, to
         ],
         outputs=told,
         device=device,
-        least_slab=4096,
+        least_slab=512,
     )
