@@ -6,6 +6,7 @@ from pathlib import Path
 
 from blender_addon.errors import ReconstructionError
 from blender_addon.headless.quiet_stdout import quiet_stdout
+from datagen.blender_program import leaving_extensions_alone
 from datagen.errors import InputError
 from datagen.progress import on_terminal
 
@@ -31,7 +32,7 @@ def main(arguments: list[str] | None = None) -> int:
             preview_size=options.size,
             samples=options.samples,
         )
-        with on_terminal() as progress:
+        with leaving_extensions_alone(), on_terminal() as progress:
             report = present(config, progress=progress)
     except (InputError, ReconstructionError) as error:
         print(f"error: {error}", file=sys.stderr)  # noqa: T201

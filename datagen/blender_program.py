@@ -4,8 +4,11 @@ That is this interpreter, where Blender is installed as the Python module bpy. A
 module for others: there the application itself runs the module, without an interface and without the user's settings.
 """
 
+import contextlib
 import os
 import sys
+import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 PROGRAM_VARIABLE = "SCANBACK_BLENDER"
@@ -47,3 +50,17 @@ def module_environment(folder: Path) -> dict[str, str]:
     extensions = folder / "extensions"
     extensions.mkdir(exist_ok=True)
     return {**os.environ, EXTENSIONS_VARIABLE: str(extensions)}
+
+
+@contextlib.contextmanager
+def leaving_extensions_alone() -> Iterator[None]:
+    """Keep the bpy module in this very process from the user's extensions while the block runs, for the same reason."""
+    before = os.environ.get(EXTENSIONS_VARIABLE)
+    with tempfile.TemporaryDirectory(prefix="scanback-extensions-") as folder:
+        os.environ[EXTENSIONS_VARIABLE] = folder
+        try:
+            yield
+        finally:
+            os.environ.pop(EXTENSIONS_VARIABLE)
+            if before is not None:
+                os.environ[EXTENSIONS_VARIABLE] = before

@@ -34,17 +34,15 @@ class Command:
         return [sys.executable, "-P", "-s", "-m", self.program, *self.arguments, *options]
 
 
-def environment(own_extensions: Path) -> dict[str, str]:
+def environment() -> dict[str, str]:
     """Return the environment in which commands find their packages and the Blender that renders.
 
-    ``own_extensions`` is an empty folder: a Blender that renders has no extension enabled, and one that is reset in
-    that state removes the wheels of all of the user's extensions, ours as well. Raises ReconstructionError where a
-    package is not installed.
+    They speak UTF-8, whatever the system's locale, as Blender does: paths are told with every letter. Raises
+    ReconstructionError where a package is not installed.
     """
     folders = [str(_folder_of(package)) for package in NEEDED]
     found = {**os.environ, "PYTHONPATH": os.pathsep.join(dict.fromkeys(folders)), "PYTHONUNBUFFERED": "1"}
-    own_extensions.mkdir(exist_ok=True)
-    found["BLENDER_USER_EXTENSIONS"] = str(own_extensions)
+    found |= {"PYTHONUTF8": "1", "PYTHONIOENCODING": "utf-8"}
     if bpy.app.binary_path:  # empty in the bpy module; bpy.app.module is newer than Blender 4.3
         found[BLENDER_VARIABLE] = bpy.app.binary_path
     return found

@@ -1,10 +1,8 @@
 """A job: work that goes on in small steps until it is done, fails or is cancelled."""
 
-import contextlib
+import errno
 import shutil
-import tempfile
 import threading
-import time
 import traceback
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
@@ -14,12 +12,15 @@ from typing import Any, TypeAlias, TypeVar
 
 from ..errors import ReconstructionError
 from .command import Command, environment
+from .job_folder import JobFolder
 from .process import Process, signal_name
 from .progress import ProcessLog, Progress
 
 _Result = TypeVar("_Result")
 
-ABANDONED_SECONDS = 3 * 24 * 3600.0
+FULL_BYTES = 1 << 16
+"""A disk with less room than this is full."""
+NOT_ALLOWED = (errno.EACCES, errno.EPERM, errno.EROFS)
 
 
 class Pace(Enum):
@@ -55,15 +56,6 @@ class Outcome:
     message: str
 
 
-def _remove_abandoned(cache: Path) -> None:
-    """Remove the folders of jobs whose Blender was killed: nothing was written there for a long time."""
-    for folder in cache.glob("job-*"):
-        with contextlib.suppress(OSError):  # another Blender may remove its own meanwhile
-            newest = max(path.stat().st_mtime for path in (folder, *folder.iterdir()))
-            if time.time() - newest > ABANDONED_SECONDS:
-                shutil.rmtree(folder, ignore_errors=True)
-
-
 class Job:
     """One job with its folder for files that nobody needs afterwards. ``work`` gets the job itself."""
 
@@ -73,14 +65,8 @@ class Job:
         self.state = State.RUNNING
         self.message = ""
         self.log = ProcessLog()
-        try:
-            cache.mkdir(parents=True, exist_ok=True)
-            _remove_abandoned(cache)
-            self.folder = Path(tempfile.mkdtemp(prefix="job-", dir=cache))
-        except OSError as error:
-            raise ReconstructionError(
-                f"{cache}: cannot be written ({error.strerror or error}); choose another cache folder in preferences"
-            ) from error
+        self._place = JobFolder(cache)
+        self.folder = self._place.path
         self._process: Process | None = None
         self._count = 0
         self._work = work(self)
@@ -111,7 +97,7 @@ class Job:
         except ReconstructionError as error:
             self._finish(State.FAILED, str(error))
         except OSError as error:
-            self._finish(State.FAILED, f"{error.filename or self.title}: {error.strerror or error}")
+            self._finish(State.FAILED, self._refusal(error))
         except Exception as error:
             self.log.lines.extend(traceback.format_exc().splitlines())
             self._finish(State.FAILED, f"{self.title}: unexpected error ({type(error).__name__}: {error}); see the log")
@@ -133,8 +119,7 @@ class Job:
         self._check_cancelled()
         self._count += 1
         name = f"{self._count}-{command.arguments[0]}"
-        surroundings = environment(self.folder / "extensions")
-        process = self._process = Process(command.line(), folder=self.folder, name=name, environment=surroundings)
+        process = self._process = Process(command.line(), folder=self.folder, name=name, environment=environment())
         try:
             while (exit_code := process.poll()) is None:
                 if self.state is State.CANCELLING:
@@ -179,14 +164,35 @@ class Job:
     def _failure(self, command: Command, exit_code: int) -> str:
         """Return what the program said last of an error, without its name, or how it ended."""
         marker = f"{command.program}: error: "
+        self.log.end()
         lines = list(self.log.lines)
         said = [i for i, line in enumerate(lines) if line.startswith(marker)]
         if said:
             return f"{command.failure}: {' '.join([lines[said[-1]].removeprefix(marker), *lines[said[-1] + 1 :][:3]])}"
+        if self._is_full():
+            return f"{command.failure}: {self._full()}"
         if lines and exit_code == 1:
             return f"{command.failure}: it ended unexpectedly ({lines[-1]}); see the log"
         return f"{command.failure}: the process was ended {signal_name(exit_code)}; run it again"
 
+    def _refusal(self, error: OSError) -> str:
+        """Say what the system refused to do in Blender itself, of which file, and what helps."""
+        if error.errno == errno.ENOSPC or (error.errno is None and self._is_full()):
+            return f"{self.title}: {self._full()}"
+        reason = f"{error.filename or self.folder}: {error.strerror or error}"
+        remedy = "; choose another folder, or change its permissions" if error.errno in NOT_ALLOWED else ""
+        return f"{self.title}: {reason}{remedy}"
+
+    def _is_full(self) -> bool:
+        try:
+            return shutil.disk_usage(self.folder).free < FULL_BYTES
+        except OSError:
+            return False
+
+    def _full(self) -> str:
+        cache = self.folder.parent
+        return f"{cache}: the disk is full; free some space, or choose another cache folder in preferences"
+
     def _finish(self, state: State, message: str) -> None:
         self.state, self.message = state, message
-        shutil.rmtree(self.folder, ignore_errors=True)
+        self._place.remove()

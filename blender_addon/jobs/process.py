@@ -13,6 +13,8 @@ from ..errors import ReconstructionError
 
 GRACE_SECONDS = 15.0
 """How long a process that was told to end may take to leave all in order."""
+LAST_SECONDS = 2.0
+"""How long it may take when Blender itself ends, or the extension is taken away."""
 PIECE_BYTES = 1 << 16
 
 
@@ -35,7 +37,12 @@ class Process:
                 start_new_session=True,
                 creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
             )
-        self._log: BinaryIO = self.log_file.open("rb")
+        try:
+            self._log: BinaryIO = self.log_file.open("rb")
+        except OSError:
+            self._process.kill()
+            self._process.communicate()
+            raise
 
     @property
     def pid(self) -> int:
@@ -59,11 +66,17 @@ class Process:
             self._close_input()
 
     def end(self) -> None:
-        """End it at once, if it still runs, and let go of its files."""
-        if self._process.poll() is None:
+        """End it, if it still runs, and let go of its files.
+
+        It is told first, so that it can end the processes that render for it: killed at once it would leave them to
+        see for themselves, after the frame that they are at.
+        """
+        self._close_input()
+        try:
+            self._process.wait(LAST_SECONDS)
+        except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
-        self._close_input()
         self._log.close()
 
     def answer(self) -> Any:

@@ -60,6 +60,10 @@ class ProcessLog:
         for line in whole:
             self._take(line.decode("utf-8", "replace").rstrip())
 
+    def end(self) -> None:
+        """Take in a last line that nothing ended."""
+        self.feed(b"\n")
+
     def _take(self, line: str) -> None:
         if not line.startswith("{"):
             if line.strip():

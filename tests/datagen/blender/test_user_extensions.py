@@ -1,6 +1,5 @@
 """Blenders that we start leave the user's own Blender as it is."""
 
-import os
 import subprocess
 import sys
 import zipfile
@@ -31,6 +30,12 @@ import bpy
 bpy.ops.wm.read_factory_settings(use_empty=True)
 bpy.ops.extensions.package_install_files(filepath=sys.argv[1], repo="user_default", enable_on_install=True)
 bpy.ops.wm.save_userpref()
+"""
+RESET = """
+import bpy
+from datagen.blender_program import leaving_extensions_alone
+with leaving_extensions_alone():
+    bpy.ops.wm.read_factory_settings(use_empty=True)
 """
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
 
@@ -66,4 +71,5 @@ def test_the_wheels_of_the_users_extensions_stay(tmp_path: Path, monkeypatch: py
     (tmp_path / "triangle.obj").write_text(TRIANGLE)
     assert measure_model(tmp_path / "triangle.obj").high == pytest.approx((1, 0, 1), abs=1e-6)  # .obj has y up
     assert sorted(user.rglob("*of_the_user*")) == before
-    assert EXTENSIONS_VARIABLE not in os.environ
+    subprocess.run([sys.executable, "-c", RESET], check=True, capture_output=True, timeout=60)
+    assert sorted(user.rglob("*of_the_user*")) == before
