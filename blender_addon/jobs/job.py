@@ -7,6 +7,7 @@ import traceback
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from enum import Enum
+from itertools import takewhile
 from pathlib import Path
 from typing import Any, TypeAlias, TypeVar
 
@@ -20,6 +21,8 @@ _Result = TypeVar("_Result")
 
 FULL_BYTES = 1 << 16
 """A disk with less room than this is full."""
+NOT_MEANT = ("Exception ignored", "Traceback")
+"""How lines begin that Python prints as it ends, and which are not part of what was said."""
 NOT_ALLOWED = (errno.EACCES, errno.EPERM, errno.EROFS)
 
 
@@ -168,7 +171,8 @@ class Job:
         lines = list(self.log.lines)
         said = [i for i, line in enumerate(lines) if line.startswith(marker)]
         if said:
-            return f"{command.failure}: {' '.join([lines[said[-1]].removeprefix(marker), *lines[said[-1] + 1 :][:3]])}"
+            more = takewhile(lambda line: not line.startswith(NOT_MEANT), lines[said[-1] + 1 :][:3])
+            return f"{command.failure}: {' '.join([lines[said[-1]].removeprefix(marker), *more])}"
         if self._is_full():
             return f"{command.failure}: {self._full()}"
         if lines and exit_code == 1:

@@ -1,5 +1,6 @@
 """Jobs: what they say, how they end, and that they end with Blender."""
 
+import errno
 import os
 import signal
 import subprocess
@@ -18,6 +19,7 @@ from blender_addon.errors import ReconstructionError
 from blender_addon.jobs import runner
 from blender_addon.jobs.command import Command
 from blender_addon.jobs.job import Job, Pace, State, Work
+from blender_addon.jobs.job_folder import JobFolder
 from blender_addon.jobs.progress import ProcessLog, Progress
 from blender_addon.settings import FuseProperties
 from blender_addon.steps.fuse import fuse_work
@@ -155,16 +157,31 @@ def test_cancelling_leaves_a_scan_that_can_be_gone_on_with(tmp_path: Path) -> No
 
 
 @pytest.mark.usefixtures("extension")
-def test_a_job_that_is_killed_is_reported_and_the_panel_usable_again(tmp_path: Path) -> None:
-    job = runner.start("Scan", _rendering(tmp_path / "dataset"))
-    while job.pid is None:
+def test_a_job_that_is_killed_is_reported_and_can_be_gone_on_with(tmp_path: Path) -> None:
+    folder = tmp_path / "dataset"
+    job = runner.start("Scan", _rendering(folder, frames=12))
+    while not list(folder.glob("frames/*.pose.txt")):
         runner.advance()
+        time.sleep(0.02)
+        assert not job.is_over, job.message
+    assert job.pid is not None
+    children = psutil.Process(job.pid).children(recursive=True)
     os.kill(job.pid, signal.SIGKILL)
     _finish(job)
     assert job.state is State.FAILED
-    assert "killed" in job.message
+    assert job.message.startswith("No frames: the process was ended by the system or by hand (it was killed; ")
+    assert job.message.endswith("run it again")
+    assert _wait_until(lambda: not any(_lives(process) for process in children))
     assert bpy.ops.scanback.dismiss() == {"FINISHED"}
     assert runner.last_job() is None
+    before = {path: path.stat().st_mtime_ns for path in folder.glob("frames/*.pose.txt")}
+    again = runner.start("Scan", _rendering(folder, frames=12))
+    assert _finish(again) < 0.05
+    assert again.message == "rendered"
+    after = {path: path.stat().st_mtime_ns for path in folder.glob("frames/*.pose.txt")}
+    assert len(after) == 12
+    assert before.items() <= after.items()
+    assert not list(folder.rglob(".unfinished*"))
 
 
 STARTS_A_JOB = """
@@ -223,17 +240,93 @@ def _lives(process: psutil.Process) -> bool:
 
 @pytest.mark.usefixtures("extension")
 def test_taking_the_extension_away_ends_its_job(tmp_path: Path) -> None:
-    job = runner.start("Scan", _rendering(tmp_path / "dataset"))
-    while job.pid is None:
+    folder = tmp_path / "dataset"
+    job = runner.start("Scan", _rendering(folder))
+    while not list(folder.glob("frames/*.pose.txt")):
         runner.advance()
-    process = psutil.Process(job.pid)
+        time.sleep(0.02)
+        assert not job.is_over, job.message
+    assert job.pid is not None
+    family = [psutil.Process(job.pid), *psutil.Process(job.pid).children(recursive=True)]
+    assert len(family) >= 2
     blender_addon.unregister()
     try:
-        assert not _lives(process)
+        assert not any(_lives(process) for process in family)  # what renders neither, and not only after its frame
+        assert not list(folder.rglob(".unfinished*"))
         assert job.state is State.CANCELLED
         assert not job.folder.exists()
     finally:
         blender_addon.register()
+
+
+@pytest.mark.usefixtures("extension")
+def test_what_a_program_says_keeps_every_letter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever the locale: on Windows programs speak that of the country."""
+    monkeypatch.setenv("PYTHONIOENCODING", "ascii")
+    none = tmp_path / "Größe ☃"
+
+    def work(job: Job) -> Work[str]:
+        yield from job.run(Command(program="fusion", arguments=("estimate", str(none)), failure="No"))
+        return ""
+
+    assert runner.run_to_end("Test", work).message == f"No: {none}: no such folder; name the folder of a dataset"
+
+
+def _in_another_process(code: str, *arguments: str) -> "subprocess.Popen[str]":
+    process = subprocess.Popen(
+        [sys.executable, "-c", code, *arguments], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "ready\n"
+    return process
+
+
+HOLDS_A_FOLDER = """
+import sys
+from pathlib import Path
+from blender_addon.jobs.job_folder import JobFolder
+folder = JobFolder(Path(sys.argv[1]))
+print("ready", flush=True)
+sys.stdin.read()
+"""
+
+
+def test_folders_of_dead_blenders_are_removed_and_those_of_sleeping_ones_stay(tmp_path: Path) -> None:
+    alive, dead = (_in_another_process(HOLDS_A_FOLDER, str(tmp_path)) for _ in range(2))
+    try:
+        (first, second) = sorted(tmp_path.iterdir(), key=lambda path: path.stat().st_mtime_ns)
+        dead.kill()
+        dead.wait()
+        for folder in (first, second):
+            os.utime(folder, (0, 0))  # nothing has happened there for long
+        own = JobFolder(tmp_path)
+        assert sorted(tmp_path.iterdir()) == sorted([first, own.path])
+        own.remove()
+        assert list(tmp_path.iterdir()) == [first]
+    finally:
+        for process in (alive, dead):
+            process.kill()
+            process.communicate()
+
+
+@pytest.mark.usefixtures("extension")
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (OSError(errno.ENOSPC, "No space left on device"), "the disk is full; free some space"),
+        (PermissionError(errno.EACCES, "Permission denied", "/there"), "/there: Permission denied; choose another"),
+        (OSError(errno.EIO, "Input/output error", "/there"), "Test: /there: Input/output error"),
+    ],
+)
+def test_what_the_system_refuses_blender_itself_is_told_with_its_remedy(error: OSError, words: str) -> None:
+    def work(job: Job) -> Work[str]:
+        yield Pace.MORE
+        raise error
+
+    job = runner.run_to_end("Test", work)
+    assert job.state is State.FAILED
+    assert words in job.message
+    assert "Error(" not in job.message
 
 
 @pytest.mark.usefixtures("extension")
