@@ -1,7 +1,7 @@
 """What the extension adds to Blender, in the order in which it is added."""
 
 from . import preferences, settings
-from .operators import compare, fuse, import_files, job_control, locate, scan, views
+from .operators import automatic, compare, fuse, import_files, job_control, locate, scan, sides, views
 from .panel import legend, results_panel, step_panels
 from .results import kept_in_order
 from .steps import scene_reference
@@ -16,7 +16,9 @@ MODULES = (
     fuse,
     locate,
     compare,
+    sides,
     views,
+    automatic,
     import_files,
     step_panels,
     results_panel,

@@ -1,6 +1,7 @@
 """What the four steps can be told: properties that the panel keeps in the scene and the operators take as arguments."""
 
 # mypy: disable-error-code="valid-type,misc"
+import contextlib
 import uuid
 from pathlib import Path
 from typing import Any
@@ -90,7 +91,7 @@ class ScanProperties:
         name="Turns", description="How often the orbit goes around", default=1.0, min=0.05, soft_max=10
     )
     distance: bpy.props.FloatProperty(
-        name="Distance", description="From the subject's center to the camera; 0 to have it fill the image",
+        name="Distance", description="From the subject's center to the camera; 0 has it fill the image",
         subtype="DISTANCE", default=0.0, min=0.0,
     )  # fmt: skip
 
@@ -105,15 +106,15 @@ class FuseProperties:
         options=PATH_OPTIONS,
     )
     voxel_size: bpy.props.FloatProperty(
-        name="Voxel Size", description="Side of a voxel; 0 for what suits the data", subtype="DISTANCE",
+        name="Voxel Size", description="Side of a voxel; 0 takes what suits the data", subtype="DISTANCE",
         default=0.0, min=0.0, precision=4, step=0.1,
     )  # fmt: skip
     truncation: bpy.props.FloatProperty(
-        name="Truncation", description="How far from the surface voxels are filled; 0 for four voxels",
+        name="Truncation", description="How far from the surface voxels are filled; 0 takes four voxels",
         subtype="DISTANCE", default=0.0, min=0.0, precision=4, step=0.1,
     )  # fmt: skip
     depth_max: bpy.props.FloatProperty(
-        name="Farthest", description="Depth beyond this is left out; 0 to take all", subtype="DISTANCE",
+        name="Farthest", description="Depth beyond this is left out; 0 takes all", subtype="DISTANCE",
         default=0.0, min=0.0,
     )  # fmt: skip
     every: bpy.props.IntProperty(
@@ -161,7 +162,7 @@ class CompareProperties:
     truth: bpy.props.EnumProperty(name="Against", description="What the mesh is held against", items=TRUTHS)
     object_name: bpy.props.StringProperty(name="Object", description="The object that the mesh is held against")
     limit: bpy.props.FloatProperty(
-        name="Full Color At", description="Distance from which errors have the last color; 0 for what 95 % stay below",
+        name="Full Color At", description="Errors from this on have the last color; 0 takes what 95 % stay below",
         subtype="DISTANCE", default=0.0, min=0.0, precision=5,
     )  # fmt: skip
 
@@ -206,12 +207,20 @@ def chosen(operator: Any, group: Any, properties: type) -> dict[str, Any]:
 def scan_folder(scene: Any, given: str = "") -> Path:
     """Return the folder of a scene's scan: as given, as set, beside the .blend file, or in the cache."""
     named = given or scene.scanback.folder
+    blend, unsaved = bpy.data.filepath, cache_folder() / "unsaved" / (scene.scanback.token or "scene")
+    if named.startswith("//") and not blend:
+        return (unsaved / named[2:]).resolve()  # there is no file yet that it could lie beside
     if named:
         return Path(bpy.path.abspath(named)).resolve()
-    blend = bpy.data.filepath
-    if blend:
-        return Path(blend).resolve().with_suffix("").with_name(f"{Path(blend).stem}_scanback")
-    return cache_folder() / "unsaved" / (scene.scanback.token or "scene")
+    return Path(blend).resolve().with_name(f"{Path(blend).stem}_scanback") if blend else unsaved
+
+
+def relative_path(path: Path) -> str:
+    """Return a path as it is kept in the open file: relative to it where it was saved."""
+    if bpy.data.filepath:
+        with contextlib.suppress(ValueError):  # another drive
+            return str(bpy.path.relpath(str(path)))
+    return str(path)
 
 
 def ensure_token(scene: Any) -> str:

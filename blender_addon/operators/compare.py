@@ -29,7 +29,8 @@ class SCANBACK_OT_compare(JobOperator, FolderProperties, CompareProperties, bpy.
         settings = chosen(self, scene.scanback.compare, CompareProperties)
         truth = compared_settings(settings, scene)
         folder = scan_folder(scene, self.folder)
-        return compare_work(remember(scene), folder, truth=truth, limit=settings["limit"])
+        original = settings["object_name"] if truth is not None else ""
+        return compare_work(remember(scene), folder, truth=truth, limit=settings["limit"], original=original)
 
 
 class SCANBACK_OT_show_colors(bpy.types.Operator):  # noqa: N801

@@ -6,6 +6,7 @@ from typing import Any
 import bpy
 
 from ..errors import ReconstructionError
+from ..results.scene_units import length_text
 from ..settings import FolderProperties, FuseProperties, chosen, scan_folder
 from ..steps.estimate import estimate_work
 from ..steps.fuse import fuse_work
@@ -45,8 +46,10 @@ class SCANBACK_OT_estimate(JobOperator, FolderProperties, bpy.types.Operator):  
 
     def prepare(self, context: Any) -> WorkMaker:
         """Find the dataset."""
-        folder = scan_folder(context.scene, self.folder)
-        return estimate_work(dataset_of(context.scene, folder))
+        scene = context.scene
+        dataset = dataset_of(scene, scan_folder(scene, self.folder))
+        reference = remember(scene)
+        return estimate_work(dataset, in_words=lambda metres: length_text(reference.find(), metres))
 
 
 CLASSES = (SCANBACK_OT_fuse, SCANBACK_OT_estimate)

@@ -74,7 +74,7 @@ class SCANBACK_OT_import_reconstruction(_FolderOperator, bpy.types.Operator):  #
 
     bl_idname = "scanback.import_reconstruction"
     bl_label = "Import Scanback Reconstruction"
-    bl_description = "Import a reconstruction folder: coloured mesh, camera path and a camera for each located frame"
+    bl_description = "Import a reconstruction folder: colored mesh, camera path and a camera for each located frame"
     remedy = "choose the one that 'fusion reconstruct' wrote"
 
     def bring(self, context: Any, folder: Path) -> set[str]:

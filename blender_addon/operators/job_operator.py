@@ -32,16 +32,16 @@ class JobOperator:
         """Begin the job: the interface goes on."""
         try:
             runner.start(self.title, self.prepare(context))
-        except ReconstructionError as error:
-            return self._refuse(str(error))
+        except (ReconstructionError, OSError) as error:
+            return self._refuse(_in_words(error))
         return {"FINISHED"}
 
     def execute(self, context: Any) -> set[str]:
         """Do the job and wait for it: for scripts."""
         try:
             job = runner.run_to_end(self.title, self.prepare(context))
-        except ReconstructionError as error:
-            return self._refuse(str(error))
+        except (ReconstructionError, OSError) as error:
+            return self._refuse(_in_words(error))
         runner.dismiss()
         if job.state is not State.DONE:
             return self._refuse(job.message)
@@ -55,3 +55,11 @@ class JobOperator:
     def _refuse(self, message: str) -> set[str]:
         self.report({"ERROR"}, message)  # type: ignore[attr-defined]
         return {"CANCELLED"}
+
+
+def _in_words(error: Exception) -> str:
+    if isinstance(error, ReconstructionError):
+        return str(error)
+    assert isinstance(error, OSError)
+    file = f"{error.filename}: " if error.filename else ""
+    return f"{file}{error.strerror or error}; choose another folder, or change its permissions"

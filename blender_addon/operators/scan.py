@@ -5,7 +5,7 @@ from typing import Any
 
 import bpy
 
-from ..settings import FolderProperties, ScanProperties, chosen, scan_folder
+from ..settings import DATASET, FolderProperties, ScanProperties, chosen, relative_path, scan_folder
 from ..steps.scan import begun_scan, prepare_scan, scan_work
 from ..steps.scene_reference import remember
 from .job_operator import JobOperator, WorkMaker
@@ -26,7 +26,9 @@ class SCANBACK_OT_scan(JobOperator, FolderProperties, ScanProperties, bpy.types.
     def invoke(self, context: Any, event: Any) -> set[str]:
         """Ask before an earlier scan is deleted."""
         if self.overwrite:
-            return context.window_manager.invoke_confirm(self, event)
+            folder = scan_folder(context.scene, self.folder)
+            message = f"The frames in {folder / DATASET} are deleted, and rendered anew"
+            return context.window_manager.invoke_confirm(self, event, title="Scan Again?", message=message)
         return super().invoke(context, event)
 
     def execute(self, context: Any) -> set[str]:
@@ -42,7 +44,11 @@ class SCANBACK_OT_scan(JobOperator, FolderProperties, ScanProperties, bpy.types.
         settings = chosen(self, scene.scanback.scan, ScanProperties)
         folder = scan_folder(scene, self.folder)
         active = context.view_layer.objects.active
-        return scan_work(prepare_scan(scene, active, folder, settings, overwrite=self.overwrite))
+        order = prepare_scan(scene, active, folder, settings, overwrite=self.overwrite)
+        if not (self.folder or scene.scanback.folder):
+            # The place that an empty setting stands for moves with the file; the scan stays.
+            scene.scanback.folder = relative_path(folder)
+        return scan_work(order)
 
 
 class SCANBACK_OT_resume_scan(JobOperator, FolderProperties, bpy.types.Operator):  # noqa: N801

@@ -7,7 +7,9 @@ from typing import Any
 import bpy
 
 from ..errors import ReconstructionError
+from ..files.dataset_files import METADATA_FILE, read_posed_frames
 from ..files.reconstruction_files import POSES_FILE, RECONSTRUCTION_FILE, Record, read_record
+from ..results.import_dataset import record_of_frames
 from ..results.scene_collection import find_collection, folder_of, our_collections
 from ..results.scene_units import record_in_units, unit_of
 from ..settings import RECONSTRUCTION, scan_folder
@@ -40,12 +42,14 @@ def record_of(collection: bpy.types.Collection) -> Record:
     folder = folder_of(collection)
     if folder is None:
         raise ReconstructionError(f"{collection.name} does not say where its reconstruction is; import it again")
-    written_ns = (_written_ns(folder / name) for name in (RECONSTRUCTION_FILE, POSES_FILE))
+    written_ns = (_written_ns(folder / name) for name in (RECONSTRUCTION_FILE, POSES_FILE, METADATA_FILE))
     return _read(folder, unit_of(collection), *written_ns)
 
 
 @lru_cache(maxsize=8)
 def _read(folder: Path, unit: float, *written_ns: int) -> Record:  # noqa: ARG001 - a changed file is another one
+    if (folder / METADATA_FILE).is_file() and not (folder / RECONSTRUCTION_FILE).is_file():
+        return record_in_units(record_of_frames(read_posed_frames(folder)), unit)
     return record_in_units(read_record(folder), unit)
 
 

@@ -67,6 +67,17 @@ class SCANBACK_OT_look_through(_ViewOperator, bpy.types.Operator):  # noqa: N801
     target: bpy.props.EnumProperty(name="Nearest To", description="What the frame is to be near to", items=TARGETS)
     frame: bpy.props.IntProperty(name="Frame", description="Number of the frame, for the target Frame", min=0)
 
+    @classmethod
+    def description(cls, context: Any, properties: Any) -> str:
+        """Name the frame where that takes no search, and say where its picture is seen."""
+        target = next(text for name, _, text in TARGETS if name == properties.target)
+        active = context.view_layer.objects.active
+        if properties.target == "QUERY" and active is not None and RANKING in active:
+            target = f"Frame {active[RANKING][0]}, which is nearest to query {active.get('query', '?')}"
+        return (
+            f"{target}, with its picture behind what is there. A rendered world hides what is behind: bring it to front"
+        )
+
     def look(self, context: Any) -> str:
         """Find the frame and place the camera."""
         collection = shown_collection(context)
@@ -114,7 +125,7 @@ class SCANBACK_OT_step_view(_ViewOperator, bpy.types.Operator):  # noqa: N801
             return "Look through a frame first"
         frame = neighbour(camera, properties.step)
         if frame is None:
-            return f"Frame {camera[FRAME]} is the last in this direction"
+            return f"Frame {camera.get(FRAME, '?')} is the last in this direction"
         return (
             f"From frame {camera[FRAME]} to frame {frame}, the {'next' if properties.step > 0 else 'previous'} nearest"
         )
@@ -127,7 +138,7 @@ class SCANBACK_OT_step_view(_ViewOperator, bpy.types.Operator):  # noqa: N801
             raise ReconstructionError("Look through a frame first")
         frame = neighbour(camera, self.step)
         if frame is None:
-            raise ReconstructionError(f"Frame {camera[FRAME]} is the last in this direction")
+            raise ReconstructionError(f"Frame {camera.get(FRAME, '?')} is the last in this direction")
         look_through(context.scene, collection, record_of(collection), frame, list(camera[RANKING]))
         return f"Frame {frame}"
 

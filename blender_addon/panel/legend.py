@@ -1,5 +1,6 @@
 """The legend of the error colours, drawn over the viewport."""
 
+from dataclasses import dataclass
 from typing import Any
 
 import bpy
@@ -7,33 +8,55 @@ import numpy as np
 
 from ..operators.shown_collection import find_shown
 from ..results.error_colors import NUMBERS_KEY, heat_srgb, shows_errors
+from ..results.originals import is_shown
 from ..results.scene_collection import MESH_PART, parts
-from .wrapped_text import length_text
+from ..results.scene_units import length_text
 
 WIDTH, HEIGHT, LEFT, BOTTOM = 240, 14, 24, 40
 STEPS = 48
+TITLE = "Distance from the original"
 _handles: list[Any] = []
 
 
-def legend_labels(context: Any) -> tuple[str, str] | None:
-    """Return the words at both ends of the bar, None where no mesh shows its errors."""
+@dataclass(frozen=True, kw_only=True)
+class Legend:
+    """The words at the left and at the right end of the bar."""
+
+    low: str
+    high: str
+
+
+def legend_of(context: Any) -> Legend | None:
+    """Return what is written at the bar, None where no mesh that is shown has the colors of its errors."""
     collection = find_shown(context)
-    shown = [item for item in parts(collection, MESH_PART) if shows_errors(item)] if collection is not None else []
-    if not shown or shown[0].hide_get():
+    meshes = parts(collection, MESH_PART) if collection is not None else []
+    shown = [item for item in meshes if shows_errors(item) and is_shown(context.scene, [item])]
+    if not shown:
         return None
-    limit = length_text(context, shown[0][NUMBERS_KEY]["limit_m"])
-    return length_text(context, 0.0), f"{limit} or more from the original"
+    limit = length_text(context.scene, shown[0][NUMBERS_KEY]["limit_m"])
+    return Legend(low="0", high=f"{limit} and more")
+
+
+def shows_colors(space: Any) -> bool:
+    """Tell whether a viewport shows overlays, and the colors of vertices or materials that have them."""
+    if not space.overlay.show_overlays:
+        return False
+    shading = space.shading
+    return shading.type in ("MATERIAL", "RENDERED") or (shading.type == "SOLID" and shading.color_type == "VERTEX")
 
 
 def _draw() -> None:
-    import blf  # type: ignore[import-not-found]  # noqa: PLC0415 - these two are there with an interface alone
-    import gpu  # type: ignore[import-not-found]  # noqa: PLC0415
+    space = bpy.context.space_data
+    legend = legend_of(bpy.context) if space is not None and shows_colors(space) else None
+    if legend is not None:
+        _draw_bar(bpy.context.preferences.system.ui_scale)
+        _draw_words(bpy.context.preferences.system.ui_scale, legend)
+
+
+def _draw_bar(scale: float) -> None:
+    import gpu  # type: ignore[import-not-found]  # noqa: PLC0415 - these are there with an interface alone
     from gpu_extras.batch import batch_for_shader  # type: ignore[import-not-found]  # noqa: PLC0415
 
-    labels = legend_labels(bpy.context)
-    if labels is None:
-        return
-    scale = bpy.context.preferences.system.ui_scale
     edges = LEFT * scale + WIDTH * scale * np.arange(STEPS + 1) / STEPS
     low, high = BOTTOM * scale, (BOTTOM + HEIGHT) * scale
     colors = heat_srgb((np.arange(STEPS) + 0.5) / STEPS)
@@ -44,12 +67,20 @@ def _draw() -> None:
         triangles += [(4 * i, 4 * i + 1, 4 * i + 2), (4 * i, 4 * i + 2, 4 * i + 3)]
     shader = gpu.shader.from_builtin("FLAT_COLOR")
     batch_for_shader(shader, "TRIS", {"pos": places, "color": tints}, indices=triangles).draw(shader)
+
+
+def _draw_words(scale: float, legend: Legend) -> None:
+    import blf  # type: ignore[import-not-found]  # noqa: PLC0415
+
     blf.size(0, 12 * scale)
     blf.color(0, 1, 1, 1, 1)
     blf.enable(0, blf.SHADOW)
     blf.shadow(0, 3, 0, 0, 0, 1)
-    for text, x in ((labels[0], edges[0]), (labels[1], edges[-1] - 40 * scale)):
-        blf.position(0, x, low - 16 * scale, 0)
+    left, right = LEFT * scale, (LEFT + WIDTH) * scale
+    below, above = (BOTTOM - 16) * scale, (BOTTOM + HEIGHT + 7) * scale
+    after = right - blf.dimensions(0, legend.high)[0]
+    for text, x, y in ((TITLE, left, above), (legend.low, left, below), (legend.high, after, below)):
+        blf.position(0, x, y, 0)
         blf.draw(0, text)
     blf.disable(0, blf.SHADOW)
 

@@ -19,13 +19,15 @@ from ..operators.scan import SCANBACK_OT_resume_scan, SCANBACK_OT_scan
 from ..operators.shown_collection import find_shown
 from ..results.error_colors import NUMBERS_KEY, has_errors, shows_errors
 from ..results.scene_collection import MESH_PART, parts
-from ..results.scene_units import metres_per_unit
+from ..results.scene_units import length_text, metres_per_unit
 from ..settings import scan_folder
 from ..steps import reasons
 from ..steps.estimate import VOXELS_PER_TRUNCATION, known_estimate
 from ..steps.fuse_source import dataset_of
 from ..steps.status import status_of
-from .wrapped_text import draw_wrapped, length_text
+from .log_tail import last_lines, worth_showing
+from .step_settings import automatic_truncation, automatic_voxel_size, draw_length, draw_settings
+from .wrapped_text import BOX_EDGE, draw_wrapped, wrapped
 
 LOG_LINES_SHOWN = 4
 
@@ -46,14 +48,6 @@ class _StepPanel:
             setattr(drawn, name, value)
         if reason is not None:
             draw_wrapped(column, context, reason, icon="INFO")
-
-    def settings(self, group: Any, *names: str) -> None:
-        """Draw some of a step's settings."""
-        column = self.layout.column()  # type: ignore[attr-defined]
-        column.use_property_split = True
-        column.use_property_decorate = False
-        for name in names:
-            column.prop(group, name)
 
 
 class SCANBACK_PT_job(_StepPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: N801 - Blender's naming
@@ -81,7 +75,8 @@ class SCANBACK_PT_job(_StepPanel, bpy.types.Panel):  # type: ignore[misc]  # noq
         box = self.layout.box()
         failed = ended.state is State.FAILED
         box.alert = failed
-        draw_wrapped(box, context, ended.message, icon="ERROR" if failed else "CHECKMARK")
+        icon = {State.FAILED: "ERROR", State.CANCELLED: "CANCEL"}.get(ended.state, "CHECKMARK")
+        draw_wrapped(box, context, ended.message, icon=icon, taken=BOX_EDGE)
         row = box.row(align=True)
         row.operator(SCANBACK_OT_dismiss.bl_idname, text="OK")
         if failed:
@@ -99,8 +94,9 @@ class SCANBACK_PT_job(_StepPanel, bpy.types.Panel):  # type: ignore[misc]  # noq
             box.progress(factor=progress.fraction, text=progress.describe())
         column = box.column(align=True)
         column.scale_y = 0.7
-        for line in list(job.log.lines)[-LOG_LINES_SHOWN:]:
-            draw_wrapped(column, context, line, most_lines=2)
+        tail = worth_showing(job.log.lines)[-LOG_LINES_SHOWN:]
+        for line in last_lines((wrapped(context, line, taken=BOX_EDGE) for line in tail), LOG_LINES_SHOWN):
+            column.label(text=line)
         row = box.row(align=True)
         row.operator(SCANBACK_OT_cancel.bl_idname, icon="CANCEL")
         row.operator(SCANBACK_OT_show_log.bl_idname)
@@ -118,18 +114,20 @@ class SCANBACK_PT_scan(_StepPanel, bpy.types.Panel):  # type: ignore[misc]  # no
         scene = context.scene
         settings = scene.scanback.scan
         folder = scan_folder(scene)
-        self.settings(scene.scanback, "folder")
+        draw_settings(self.layout, scene.scanback, "folder")
         if not scene.scanback.folder:
             column = self.layout.column()
             column.active = False
             draw_wrapped(column, context, str(folder))
-        self.settings(settings, "subject", "trajectory")
-        extra = {"ORBIT": ("elevation", "turns", "distance"), "HEMISPHERE": ("distance",)}
-        self.settings(settings, *extra.get(settings.trajectory, ()))
-        self.settings(settings, "frames", "width", "height", "preset", "sensor")
+        draw_settings(self.layout, settings, "subject", "trajectory")
+        if settings.trajectory == "ORBIT":
+            draw_settings(self.layout, settings, "elevation", "turns")
+        if settings.trajectory != "CAMERA":
+            draw_length(self.layout, settings, "scan.distance", "Fills the image")
+        draw_settings(self.layout, settings, "frames", "width", "height", "preset", "sensor")
         status = status_of(folder)
         reason = reasons.why_not_scan(context)
-        if status.frame_count is None and not (folder / "dataset").exists():
+        if status.frame_count is None and not status.is_there:
             self.draw_button(context, SCANBACK_OT_scan, reason, icon="RENDER_ANIMATION")
             return
         if not status.is_scanned:
@@ -152,8 +150,12 @@ class SCANBACK_PT_fuse(_StepPanel, bpy.types.Panel):  # type: ignore[misc]  # no
     def draw(self, context: Any) -> None:
         """Draw how frames are fused, and how large the result will be."""
         settings = context.scene.scanback.fuse
-        self.settings(settings, "dataset", "voxel_size", "truncation", "depth_max", "every", "mesher")
-        self.settings(settings, "use_sensor_depth", "device", "live")
+        draw_settings(self.layout, settings, "dataset")
+        column = self.layout.column()
+        draw_length(column, settings, "fuse.voxel_size", automatic_voxel_size(context.scene))
+        draw_length(column, settings, "fuse.truncation", automatic_truncation(context.scene))
+        draw_length(column, settings, "fuse.depth_max", "No limit")
+        draw_settings(self.layout, settings, "every", "mesher", "use_sensor_depth", "device", "live")
         self._draw_estimate(context, settings)
         self.draw_button(context, SCANBACK_OT_fuse, reasons.why_not_fuse(context), icon="MESH_ICOSPHERE")
 
@@ -168,7 +170,7 @@ class SCANBACK_PT_fuse(_StepPanel, bpy.types.Panel):  # type: ignore[misc]  # no
         voxel_size = settings.voxel_size * unit or estimate.voxel_size
         truncation = settings.truncation * unit or VOXELS_PER_TRUNCATION * voxel_size
         column = self.layout.column(align=True)
-        column.label(text=f"Voxels of {length_text(context, voxel_size)}: about")
+        column.label(text=f"Voxels of {length_text(context.scene, voxel_size)}: about")
         column.label(text=f"{estimate.triangles(voxel_size):,} triangles")
         megabytes = max(estimate.megabytes(voxel_size, truncation), 1)
         column.label(text=f"{megabytes:,.0f} MB of memory")
@@ -184,9 +186,8 @@ class SCANBACK_PT_locate(_StepPanel, bpy.types.Panel):  # type: ignore[misc]  # 
     def draw(self, context: Any) -> None:
         """Draw what is located."""
         settings = context.scene.scanback.locate
-        self.settings(settings, "query")
         extra = {"FRAME": ("frame",), "FILES": ("color_file", "depth_file", "depth_scale")}
-        self.settings(settings, *extra.get(settings.query, ()), "refine")
+        draw_settings(self.layout, settings, "query", *extra.get(settings.query, ()), "refine")
         self.draw_button(context, SCANBACK_OT_locate, reasons.why_not_locate(context), icon="OUTLINER_OB_CAMERA")
 
 
@@ -200,10 +201,12 @@ class SCANBACK_PT_compare(_StepPanel, bpy.types.Panel):  # type: ignore[misc]  #
     def draw(self, context: Any) -> None:
         """Draw what is compared, and the numbers."""
         settings = context.scene.scanback.compare
-        self.settings(settings, "truth")
+        draw_settings(self.layout, settings, "truth")
         if settings.truth == "OBJECT":
-            self.layout.prop_search(settings, "object_name", context.scene, "objects")
-        self.settings(settings, "limit")
+            column = self.layout.column()
+            column.use_property_split = True
+            column.prop_search(settings, "object_name", context.scene, "objects")
+        draw_length(self.layout, settings, "compare.limit", "95 % of them")
         self.draw_button(context, SCANBACK_OT_compare, reasons.why_not_compare(context), icon="COLOR")
         collection = find_shown(context)
         for item in parts(collection, MESH_PART) if collection is not None else []:
@@ -226,11 +229,11 @@ class SCANBACK_PT_compare(_StepPanel, bpy.types.Panel):  # type: ignore[misc]  #
             if name in numbers:
                 split = column.split(factor=0.55)
                 split.label(text=label)
-                split.label(text=length_text(context, numbers[name]))
+                split.label(text=length_text(context.scene, numbers[name]))
         if "fscore" in numbers:
             split = column.split(factor=0.55)
             split.label(text="F-score")
-            within = length_text(context, numbers["fscore_threshold_m"])
+            within = length_text(context.scene, numbers["fscore_threshold_m"])
             split.label(text=f"{100 * numbers['fscore']:.2f} % within {within}")
 
 

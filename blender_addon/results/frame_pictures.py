@@ -4,6 +4,8 @@ from pathlib import Path
 
 import bpy
 
+from ..settings import relative_path
+
 ALPHA = 0.5
 
 
@@ -22,10 +24,4 @@ def show_behind(camera_data: bpy.types.Camera, picture: Path | None) -> None:
 
 def load_picture(picture: Path) -> bpy.types.Image:
     """Return an image of a file, one for all that show it, its path relative to a saved .blend."""
-    path = str(picture)
-    if bpy.data.filepath:
-        try:
-            path = bpy.path.relpath(path)
-        except ValueError:  # another drive
-            path = str(picture)
-    return bpy.data.images.load(path, check_existing=True)
+    return bpy.data.images.load(relative_path(picture), check_existing=True)

@@ -12,7 +12,7 @@ from .camera_path import create_path_object
 from .import_reconstruction import MARKER_SIZE, MARKER_SIZE_KEY, WIRE_RADIUS
 from .replay_camera import add_replay
 from .scene_collection import PATH_PART, add_part, empty_collection
-from .scene_units import UNIT_KEY, frames_in_units, metres_per_unit
+from .scene_units import UNIT_KEY, frames_in_units, metres_per_unit, record_in_units
 
 
 def import_dataset(
@@ -32,16 +32,19 @@ def import_dataset(
     collection[MARKER_SIZE_KEY] = MARKER_SIZE * diagonal_m
     path = create_path_object("Scanback camera path", trajectory, radius_m=WIRE_RADIUS * diagonal_m)
     add_part(collection, PATH_PART, [path])
-    record = Record(
+    add_replay(scene, collection, record_in_units(record_of_frames(frames), unit))
+    if match_render_size:
+        set_render_size(scene.render, frames.intrinsics)
+    return collection, frames
+
+
+def record_of_frames(frames: PosedFrames) -> Record:
+    """Return a dataset's frames as what a reconstruction of all of them would tell, without any mesh."""
+    return Record(
         folder=frames.folder,
         dataset=frames.folder,
         intrinsics=frames.intrinsics,
         voxel_size_m=None,
-        trajectory=trajectory,
-        metres_per_unit=unit,
+        trajectory=frames.trajectory,
         located=(),
     )
-    add_replay(scene, collection, record)
-    if match_render_size:
-        set_render_size(scene.render, frames.intrinsics)
-    return collection, frames

@@ -1,7 +1,8 @@
 """The mesh as it grows: shown while frames are fused, gone when that is over."""
 
+import json
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import bpy
@@ -10,27 +11,38 @@ from ..errors import ReconstructionError
 from ..files.mesh_arrays import MeshArrays, mesh_arrays
 from ..files.ply_mesh import read_colored_mesh
 from .mesh_import import fill_mesh, object_of
+from .originals import set_hidden
 from .scene_collection import LIVE_PART, MESH_PART, PART_KEY, find_collection, parts
 from .scene_units import mesh_in_units
 from .viewport_colors import show_vertex_colors
 
 NAME = "Scanback live"
+ASIDE_KEY = "scanback_aside"
+"""Custom property of a growing mesh: the names of the objects that are hidden while it is there, as JSON."""
 
 
 class LiveMesh:
-    """Shows a mesh file in a scene and follows it as it is written anew; an older result stands aside meanwhile.
+    """Shows a mesh file in a scene and follows it as it is written anew.
 
-    The file is read in a thread; what it holds is small enough to be handed to Blender within a tick. ``unit`` is how
-    many metres a unit of the scene is.
+    An older result and the objects named ``originals``, which stand in its place, are hidden meanwhile. The file is
+    read in a thread; what it holds is small enough to be handed to Blender within a tick. ``unit`` is how many metres a
+    unit of the scene is.
     """
 
     def __init__(
-        self, file: Path, folder: Path, find_scene: Callable[[], bpy.types.Scene], *, unit: float = 1.0
+        self,
+        file: Path,
+        folder: Path,
+        find_scene: Callable[[], bpy.types.Scene],
+        *,
+        unit: float = 1.0,
+        originals: Sequence[str] = (),
     ) -> None:
         self._file = file
         self._folder = folder
         self._find_scene = find_scene
         self._unit = unit
+        self._originals = originals
         self._seen_ns = 0
         self._reader: threading.Thread | None = None
         self._arrays: MeshArrays | None = None
@@ -53,13 +65,8 @@ class LiveMesh:
             self._reader.start()
 
     def remove(self) -> None:
-        """Take it away and let an older result be seen again."""
+        """Take it away and let what stood aside be seen again."""
         remove_live_meshes()
-        try:
-            scene = self._find_scene()
-        except ReconstructionError:
-            return
-        self._hide_older(scene, hidden=False)
 
     def _read(self) -> None:
         try:
@@ -82,7 +89,7 @@ class LiveMesh:
             item[PART_KEY] = LIVE_PART
             item.hide_select = True
             scene.collection.objects.link(item)
-            self._hide_older(scene, hidden=True)
+            item[ASIDE_KEY] = json.dumps([other.name for other in set_hidden(scene, self._beside(scene), hidden=True)])
             show_vertex_colors()
             return
         older, item.data = item.data, data
@@ -90,15 +97,20 @@ class LiveMesh:
             data.materials.append(material)
         bpy.data.meshes.remove(older)
 
-    def _hide_older(self, scene: bpy.types.Scene, *, hidden: bool) -> None:
+    def _beside(self, scene: bpy.types.Scene) -> list[bpy.types.Object]:
+        """Return the objects that are where it grows."""
         collection = find_collection(scene, self._folder)
-        for item in parts(collection, MESH_PART) if collection is not None else []:
-            item.hide_viewport = hidden
+        older = parts(collection, MESH_PART) if collection is not None else []
+        return [*older, *(scene.objects[name] for name in self._originals if name in scene.objects)]
 
 
 def remove_live_meshes() -> None:
-    """Take away all growing meshes, also those that an undo or a saved file brought back."""
+    """Take away all growing meshes, also those that an undo or a saved file brought back; show what stood aside."""
     ours = [item for item in bpy.data.objects if item.get(PART_KEY) == LIVE_PART and item.library is None]
+    for item in ours:
+        aside = json.loads(item.get(ASIDE_KEY, "[]"))
+        for scene in item.users_scene:
+            set_hidden(scene, [scene.objects[name] for name in aside if name in scene.objects], hidden=False)
     data = {item.data for item in ours}
     materials = {material for mesh in data for material in mesh.materials if material is not None}
     bpy.data.batch_remove(ours)

@@ -13,15 +13,14 @@ UNIT_KEY = "scanback_metres_per_unit"
 """Custom property of a reconstruction's collection: how many metres a unit was when it was put into the scene."""
 _FIXED_UNITS = {
     "KILOMETERS": (1000.0, "km"),
-    "METERS": (1.0, "m"),
     "CENTIMETERS": (0.01, "cm"),
     "MILLIMETERS": (0.001, "mm"),
     "MICROMETERS": (1e-6, "µm"),
     "MILES": (1609.344, "mi"),
-    "FEET": (0.3048, "ft"),
     "INCHES": (0.0254, "in"),
     "THOU": (2.54e-5, "thou"),
 }
+"""Units that a scene insists on; metres and feet are what every scene begins with, and too long for errors."""
 
 
 def metres_per_unit(scene: bpy.types.Scene) -> float:
@@ -39,11 +38,15 @@ def length_text(scene: bpy.types.Scene, metres: float) -> str:
     """Return a length in words, in the unit that the scene's lengths are shown in."""
     units = scene.unit_settings
     if units.system == "NONE":
-        return f"{metres:.3g}"
+        return _three_digits(metres)
     if units.length_unit in _FIXED_UNITS:
         size, symbol = _FIXED_UNITS[units.length_unit]
-        return f"{metres / size:.3g} {symbol}"
+        return f"{_three_digits(metres / size)} {symbol}"
     return str(bpy.utils.units.to_string(units.system, "LENGTH", float(f"{metres:.3g}"), precision=4))
+
+
+def _three_digits(number: float) -> str:
+    return f"{number:,.0f}" if abs(number) >= 100 else f"{number:.3g}"
 
 
 def pose_in_metres(world_from_camera: Pose, unit: float) -> Pose:

@@ -1,5 +1,6 @@
 """A reconstruction brought into the scene in pieces, so that the interface stays alive."""
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import bpy
@@ -9,6 +10,7 @@ from ..files.reconstruction_files import Reconstruction, read_reconstruction
 from ..jobs.job import Job, Pace, Work
 from ..results.import_reconstruction import MESH_NAME, place_reconstruction
 from ..results.mesh_import import fill_mesh, object_of
+from ..results.originals import note_originals, show_sides
 from ..results.scene_units import reconstruction_in_units
 from ..results.viewport_colors import show_vertex_colors
 from .scene_reference import SceneReference, push_undo
@@ -17,11 +19,19 @@ ATTEMPTS = 3
 
 
 def bring_in(
-    job: Job, scene: SceneReference, folder: Path, *, undo: str, match_render_size: bool = False
+    job: Job,
+    scene: SceneReference,
+    folder: Path,
+    *,
+    undo: str | None,
+    match_render_size: bool = False,
+    originals: Sequence[str] = (),
+    before_placing: Callable[[], None] = lambda: None,
 ) -> Work[Reconstruction]:
     """Read a reconstruction in a thread and put it into the scene, in its units; one undo step, named ``undo``.
 
-    The size of the scene's renders is the user's, unless ``match_render_size`` gives it that of the scan.
+    Where ``undo`` is None, the step is the caller's. The size of the scene's renders is the user's, unless
+    ``match_render_size`` gives it that of the scan. The objects named ``originals``, whose place it takes, are hidden.
     """
 
     def read() -> tuple[Reconstruction, MeshArrays]:
@@ -32,10 +42,15 @@ def bring_in(
     scene.find()  # nothing is made for a scene that is gone
     name = yield from _make_mesh(arrays)
     target = scene.find()
+    before_placing()
     mesh = object_of(MESH_NAME, bpy.data.meshes[name])
-    place_reconstruction(target, reconstruction, mesh, match_render_size=match_render_size)
+    collection = place_reconstruction(target, reconstruction, mesh, match_render_size=match_render_size)
+    if originals:
+        note_originals(collection, originals)
+        show_sides(target, collection, original=False, reconstruction=True)
     show_vertex_colors()
-    push_undo(undo)
+    if undo is not None:
+        push_undo(undo)
     return reconstruction
 
 

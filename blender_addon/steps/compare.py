@@ -15,21 +15,25 @@ from ..jobs.command import Command
 from ..jobs.job import Job, Work
 from ..preferences import fusion_device
 from ..results.error_colors import put_errors
+from ..results.originals import note_originals, show_sides
 from ..results.scene_collection import MESH_PART, find_collection, parts
+from ..results.scene_units import length_text
 from ..settings import RECONSTRUCTION
 from .bring_in import bring_in
+from .evaluation import evaluated_as_shown
 from .scene_reference import SceneReference, push_undo
 
 NUMBERS = ("chamfer_m", "accuracy_m", "completeness_m", "fscore", "normal_consistency")
 
 
 def compare_work(
-    scene: SceneReference, folder: Path, *, truth: tuple[NDArray, NDArray] | None, limit: float
+    scene: SceneReference, folder: Path, *, truth: tuple[NDArray, NDArray] | None, limit: float, original: str = ""
 ) -> Callable[[Job], Work[str]]:
     """Return the job that compares the reconstruction of ``folder`` and colours its mesh in the scene.
 
     ``truth`` has vertices (N, 3) and triangles (M, 3); None takes the mesh that the dataset keeps. Its vertices and
-    ``limit``, the distance that has the last colour, are in the scene's units; what is measured is in metres.
+    ``limit``, the distance that has the last colour, are in the scene's units; what is measured is in metres. The
+    object named ``original`` is hidden, so that the colours can be seen.
     """
 
     def work(job: Job) -> Work[str]:
@@ -48,31 +52,52 @@ def compare_work(
         distances = yield from job.in_thread(lambda: np.load(errors))
         item = _mesh_in(scene, out)
         if item is None:
-            yield from bring_in(job, scene, out, undo="Scanback: Import")
+            yield from bring_in(job, scene, out, undo=None)
             item = _mesh_in(scene, out)
         assert item is not None, "a reconstruction that was brought in has a mesh"
         numbers = {name: float(metrics[name]) for name in NUMBERS}
         numbers["fscore_threshold_m"] = float(metrics["fscores"][0]["threshold_m"])
         put_errors(item, distances, limit_m=limit * scene.metres_per_unit, numbers=numbers)
+        _show_mesh_alone(scene.find(), out, original)
         push_undo("Scanback: Compare")
-        return (
-            f"The mesh is {1000 * metrics['accuracy_m']:.3g} mm from the original on average, "
-            f"the original {1000 * metrics['completeness_m']:.3g} mm from the mesh"
-        )
+        accuracy, completeness = (length_text(scene.find(), numbers[name]) for name in ("accuracy_m", "completeness_m"))
+        return f"The mesh is {accuracy} from the original on average, the original {completeness} from the mesh"
 
     return work
+
+
+def _show_mesh_alone(scene: bpy.types.Scene, out: Path, original: str) -> None:
+    collection = find_collection(scene, out.resolve())
+    assert collection is not None, "it holds the mesh"
+    note_originals(collection, [original] if original else [])
+    show_sides(scene, collection, original=False, reconstruction=True)
 
 
 def triangles_of(item: bpy.types.Object) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
     """Return an object as its modifiers make it, in the world: vertices (N, 3) and triangles (M, 3).
 
-    Triangles are counter-clockwise from outside, also of an object whose scale turns it inside out.
+    Triangles are counter-clockwise from outside, also of an object whose scale turns it inside out. A hidden object is
+    taken as if it were shown. Raises ReconstructionError for one that has no faces, or that the view layer excludes.
     """
-    shown = item.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    with evaluated_as_shown([item]) as depsgraph:
+        shown = item.evaluated_get(depsgraph)
+        if not shown.is_evaluated:
+            raise ReconstructionError(f"{item.name} is excluded from the view layer; include its collection")
+        vertices, corners = _triangles(shown)
+        world_from_object = np.array(shown.matrix_world)
+    if not len(corners):
+        raise ReconstructionError(f"{item.name} has no faces; choose another object")
+    placed = vertices @ world_from_object[:3, :3].T + world_from_object[:3, 3]
+    is_mirrored = np.linalg.det(world_from_object[:3, :3]) < 0
+    return placed.astype(np.float32), np.ascontiguousarray(corners[:, ::-1]) if is_mirrored else corners
+
+
+def _triangles(shown: bpy.types.Object) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    """Return the vertices (N, 3) of an evaluated object in its own frame, and its triangles (M, 3)."""
     try:
         mesh = shown.to_mesh()
     except RuntimeError as error:
-        raise ReconstructionError(f"{item.name} is no surface ({error}); choose a mesh") from error
+        raise ReconstructionError(f"{shown.name} is no surface ({error}); choose a mesh") from error
     try:
         mesh.calc_loop_triangles()
         vertices = np.empty(3 * len(mesh.vertices), np.float32)
@@ -81,13 +106,7 @@ def triangles_of(item: bpy.types.Object) -> tuple[NDArray[np.float32], NDArray[n
         mesh.loop_triangles.foreach_get("vertices", triangles)
     finally:
         shown.to_mesh_clear()
-    if not len(triangles):
-        raise ReconstructionError(f"{item.name} has no faces; choose another object")
-    world_from_object = np.array(shown.matrix_world)
-    placed = vertices.reshape(-1, 3) @ world_from_object[:3, :3].T + world_from_object[:3, 3]
-    corners = triangles.reshape(-1, 3)
-    is_mirrored = np.linalg.det(world_from_object[:3, :3]) < 0
-    return placed.astype(np.float32), np.ascontiguousarray(corners[:, ::-1]) if is_mirrored else corners
+    return vertices.reshape(-1, 3), triangles.reshape(-1, 3)
 
 
 def _mesh_in(scene: SceneReference, out: Path) -> bpy.types.Object | None:

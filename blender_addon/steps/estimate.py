@@ -59,11 +59,12 @@ def estimate_command(dataset: Path) -> Command:
     )
 
 
-def estimate_work(dataset: Path) -> Callable[[Job], Work[str]]:
-    """Return the job that looks at a dataset."""
+def estimate_work(dataset: Path, *, in_words: Callable[[float], str]) -> Callable[[Job], Work[str]]:
+    """Return the job that looks at a dataset; ``in_words`` says a length in metres."""
 
     def work(job: Job) -> Work[str]:
         found = note_estimate(dataset, (yield from job.run(estimate_command(dataset))))
-        return f"A voxel of {1000 * found.voxel_size:g} mm makes about {found.triangles(found.voxel_size):,} triangles"
+        triangles = found.triangles(found.voxel_size)
+        return f"Voxels of {in_words(found.voxel_size)} make about {triangles:,} triangles"
 
     return work

@@ -8,8 +8,9 @@ from ..jobs.command import Command
 from ..jobs.job import Job, Work
 from ..preferences import fusion_device
 from ..results.live_mesh import LiveMesh
-from ..settings import RECONSTRUCTION
+from ..settings import DATASET, RECONSTRUCTION
 from .bring_in import bring_in
+from .scan import scanned_objects
 from .scene_reference import SceneReference
 from .status import forget
 
@@ -40,17 +41,19 @@ def fuse_work(
     def work(job: Job) -> Work[str]:
         out = folder / RECONSTRUCTION
         unit, growing = scene.metres_per_unit, job.folder / "live.ply"
-        live = LiveMesh(growing, out, scene.find, unit=unit) if settings["live"] else None
-        snapshots = growing if live is not None else None
+        originals = scanned_objects(folder) if dataset == folder / DATASET else ()
+        live = LiveMesh(growing, out, scene.find, unit=unit, originals=originals)
+        snapshots = growing if settings["live"] else None
         command = fuse_command(dataset, out, settings, snapshots=snapshots, metres_per_unit=unit)
         try:
-            yield from job.run(command, meanwhile=live.follow if live is not None else lambda: None)
+            yield from job.run(command, meanwhile=live.follow)
             forget()
+            made = yield from bring_in(
+                job, scene, out, undo="Scanback: Fuse", originals=originals, before_placing=live.remove
+            )
         finally:
-            if live is not None:
-                live.remove()
-        made = yield from bring_in(job, scene, out, undo="Scanback: Fuse")
-        triangles = len(made.mesh.triangles)
-        return f"Fused {len(made.trajectory)} frames into {triangles:,} triangles"
+            live.remove()
+        hidden = "; what was scanned is hidden behind it" if originals else ""
+        return f"Fused {len(made.trajectory)} frames into {len(made.mesh.triangles):,} triangles{hidden}"
 
     return work

@@ -7,6 +7,7 @@ from ..jobs import runner
 from ..jobs.command import missing_packages
 from ..settings import scan_folder
 from .fuse_source import dataset_of
+from .scan_source import why_nothing_to_scan
 from .status import Status, status_of
 
 
@@ -26,9 +27,8 @@ def why_not_scan(context: Any) -> str | None:
     settings = context.scene.scanback.scan
     if settings.trajectory == "CAMERA" and context.scene.camera is None:
         return "The scene has no camera to follow"
-    if settings.subject == "OBJECT" and context.view_layer.objects.active is None:
-        return "No object is active"
-    return why_no_job()
+    nothing = why_nothing_to_scan(context.scene, context.view_layer.objects.active, settings.subject)
+    return nothing or why_no_job()
 
 
 def why_not_fuse(context: Any) -> str | None:

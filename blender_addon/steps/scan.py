@@ -13,7 +13,7 @@ from ..jobs.job import Job, Work
 from ..preferences import render_device
 from ..settings import DATASET, SOURCE
 from .estimate import estimate_command, note_estimate
-from .scan_source import write_source
+from .scan_source import scanned, write_source
 from .status import forget
 
 ORDER_FILE = "scan.json"
@@ -22,12 +22,16 @@ ORDER_FILE = "scan.json"
 
 @dataclass(frozen=True, kw_only=True)
 class ScanOrder:
-    """A scan that is all prepared: its folder, and what is said to the command that renders it."""
+    """A scan that is all prepared: its folder, and what is said to the command that renders it.
+
+    ``objects`` are the names of those that were there to be scanned.
+    """
 
     folder: Path
     preset: str
     sensor: str
     frames: int
+    objects: tuple[str, ...] = ()
 
     @property
     def dataset(self) -> Path:
@@ -36,20 +40,34 @@ class ScanOrder:
 
 
 def prepare_scan(scene: Any, active: Any, folder: Path, settings: dict[str, Any], *, overwrite: bool) -> ScanOrder:
-    """Write what is to be scanned into ``folder``. Raises ReconstructionError where there is a dataset to be kept."""
+    """Write what is to be scanned into ``folder``, in the place of what was there.
+
+    Raises ReconstructionError, with nothing changed, where there is a dataset to be kept or no place to write to.
+    """
     dataset = folder / DATASET
     if dataset.exists():
         if not overwrite:
             raise ReconstructionError(
                 f"{dataset}: holds a scan already; go on with it, scan again in its place, or choose another folder"
             )
-        _remove_own(folder)
-    scene_file = write_source(scene, active, folder / SOURCE, settings)
-    order = ScanOrder(folder=folder, preset=settings["preset"], sensor=settings["sensor"], frames=settings["frames"])
-    content = {"preset": order.preset, "sensor": order.sensor, "frames": order.frames}
-    scene_file.with_name(ORDER_FILE).write_text(json.dumps(content), encoding="utf-8")
-    forget()
-    return order
+        begun_scan(folder)  # else the dataset is somebody else's
+    new = folder / f"{SOURCE}.new"
+    try:
+        _remove(new)
+        write_source(scene, active, new, settings)
+        content = {name: settings[name] for name in ("preset", "sensor", "frames")}
+        content["objects"] = [item.name for item in scanned(scene, active, settings["subject"])]
+        (new / ORDER_FILE).write_text(json.dumps(content), encoding="utf-8")
+        # What there was is removed when all that takes its place could be written.
+        _remove(dataset)
+        _remove(folder / SOURCE)
+        new.rename(folder / SOURCE)
+    except BaseException:
+        shutil.rmtree(new, ignore_errors=True)
+        raise
+    finally:
+        forget()
+    return begun_scan(folder)
 
 
 def begun_scan(folder: Path) -> ScanOrder:
@@ -62,9 +80,18 @@ def begun_scan(folder: Path) -> ScanOrder:
             preset=str(content["preset"]),
             sensor=str(content["sensor"]),
             frames=int(content["frames"]),
+            objects=tuple(str(name) for name in content.get("objects", ())),
         )
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise ReconstructionError(f"{folder}: no scan was begun here; scan first") from error
+
+
+def scanned_objects(folder: Path) -> tuple[str, ...]:
+    """Return the names of the objects that were scanned into ``folder``, none where that is not known."""
+    try:
+        return begun_scan(folder).objects
+    except ReconstructionError:
+        return ()
 
 
 def scan_work(order: ScanOrder) -> Callable[[Job], Work[str]]:
@@ -86,10 +113,10 @@ def scan_work(order: ScanOrder) -> Callable[[Job], Work[str]]:
     return work
 
 
-def _remove_own(folder: Path) -> None:
-    """Remove an earlier scan of ours: what else may lie in the folder stays."""
-    begun_scan(folder)  # else the dataset is somebody else's
+def _remove(folder: Path) -> None:
+    if not folder.exists():
+        return
     try:
-        shutil.rmtree(folder / DATASET)
+        shutil.rmtree(folder)
     except OSError as error:
         raise ReconstructionError(f"{error.filename}: cannot be removed ({error.strerror})") from error

@@ -11,18 +11,20 @@ from typing import Any
 
 import bpy
 import numpy as np
-from mathutils import Vector
 from numpy.typing import NDArray
 
 from ..errors import ReconstructionError
 from ..results.scene_collection import is_ours
 from ..results.scene_units import metres_per_unit
+from .evaluation import evaluated_as_shown
 
 SURFACES = {"MESH", "CURVE", "SURFACE", "FONT", "META"}
 FOCAL_LENGTH_MM, SENSOR_WIDTH_MM = 50.0, 36.0
 FILLING = 0.9
 """Part of the image's height that the subject's bounding sphere takes."""
 DEPTH_STEPS = 65_000
+REACH, FARTHER = 64.0, 4.0
+"""How far depth reaches along the camera's own path: so many units, or so many times what is in view now."""
 STAGE_RADIUS = 0.3
 """The subject's radius for which the lights of the stage have the powers below."""
 STAGE_LIGHTS = (((-1.2, -1.4, 1.6), "#fff1e0", 42.0, 1.2), ((1.4, 1.2, 1.2), "#dfeaff", 20.0, 1.0))
@@ -40,7 +42,7 @@ class Bounds:
 
 
 def write_source(scene: bpy.types.Scene, active: Any, folder: Path, settings: dict[str, Any]) -> Path:
-    """Write what is to be scanned into ``folder`` and return the scene file.
+    """Write what is to be scanned into ``folder``, which nothing else is in, and return the scene file.
 
     ``settings`` are those of ``ScanProperties``; ``active`` is the active object. Raises ReconstructionError where
     there is nothing to scan, no camera to scan with, or no place to write to.
@@ -60,18 +62,28 @@ def write_source(scene: bpy.types.Scene, active: Any, folder: Path, settings: di
 
 
 def _subject(scene: bpy.types.Scene, active: Any, kind: str) -> list[bpy.types.Object]:
-    """Return the objects that the camera looks at: the active one and its children, the selected ones, or all."""
-    if kind == "OBJECT":
-        if active is None:
-            raise ReconstructionError("There is no active object; select one, or scan the whole scene")
-        family = [active, *active.children_recursive]
-        if not any(_is_scanned(item) for item in family):
-            raise ReconstructionError(f"{active.name} has no surface that renders; select another object")
-        return family
-    shown = [item for item in scene.objects if _is_scanned(item)]
-    if not shown:
-        raise ReconstructionError("The scene has no object with a surface that renders; add one")
-    return shown
+    """Return the objects that are scanned, and for the active one all of its family, lights and empties too."""
+    reason = why_nothing_to_scan(scene, active, kind)
+    if reason is not None:
+        raise ReconstructionError(reason)
+    return [active, *active.children_recursive] if kind == "OBJECT" else scanned(scene, active, kind)
+
+
+def scanned(scene: bpy.types.Scene, active: Any, kind: str) -> list[bpy.types.Object]:
+    """Return the objects whose surfaces are scanned: of the active one and its children, or of the whole scene."""
+    family = [active, *active.children_recursive] if kind == "OBJECT" else scene.objects
+    return [item for item in family if _is_scanned(item)]
+
+
+def why_nothing_to_scan(scene: bpy.types.Scene, active: Any, kind: str) -> str | None:
+    """Say why there is nothing to scan, None where there is something. It stops at the first surface: panels ask."""
+    if kind != "OBJECT":
+        there = any(_is_scanned(item) for item in scene.objects)
+        return None if there else "The scene has no object with a surface that renders; add one"
+    if active is None:
+        return "There is no active object; select one, or scan the whole scene"
+    there = any(_is_scanned(item) for item in (active, *active.children_recursive))
+    return None if there else f"{active.name} has no surface that renders; select another object"
 
 
 def _is_scanned(item: bpy.types.Object) -> bool:
@@ -83,7 +95,8 @@ def bounds_of(objects: Iterable[bpy.types.Object], scene: bpy.types.Scene) -> Bo
     """Return the sphere around the selected ones of ``objects``, or around all, in the world frame."""
     every = [item for item in objects if item.type in SURFACES] or list(objects)
     chosen = [item for item in every if item.name in scene.view_layers[0].objects and item.select_get()] or every
-    near, far = _corners(chosen), np.concatenate([_corners(every), _corners(chosen)])
+    with evaluated_as_shown(every) as depsgraph:
+        near, far = (np.concatenate([_points(item, depsgraph) for item in part]) for part in (chosen, every))
     center = (near.min(axis=0) + near.max(axis=0)) / 2
     radius = float(np.linalg.norm(near - center, axis=1).max())
     if radius <= 0:
@@ -92,13 +105,15 @@ def bounds_of(objects: Iterable[bpy.types.Object], scene: bpy.types.Scene) -> Bo
     return Bounds(center=tuple(center.tolist()), radius=radius, reach=reach)
 
 
-def _corners(objects: Iterable[bpy.types.Object]) -> NDArray[np.float64]:
-    depsgraph = bpy.context.evaluated_depsgraph_get()
-    found = []
-    for item in objects:
-        shown = item.evaluated_get(depsgraph)
-        found += [shown.matrix_world @ Vector(corner) for corner in shown.bound_box]
-    return np.array([tuple(corner) for corner in found])
+def _points(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> NDArray[np.float64]:
+    """Return points (N, 3) in the world whose hull an object fills: a mesh's vertices, or the corners of a box."""
+    shown = item.evaluated_get(depsgraph)
+    points = np.array([tuple(corner) for corner in shown.bound_box])
+    if shown.type == "MESH" and len(shown.data.vertices):
+        points = np.empty((len(shown.data.vertices), 3), np.float32)
+        shown.data.vertices.foreach_get("co", points.ravel())
+    world_from_object = np.array(shown.matrix_world)
+    return points @ world_from_object[:3, :3].T + world_from_object[:3, 3]
 
 
 def _scene_file(scene: bpy.types.Scene, subject: list[bpy.types.Object], settings: dict[str, Any]) -> str:
@@ -115,6 +130,7 @@ def _scene_file(scene: bpy.types.Scene, subject: list[bpy.types.Object], setting
     bounds = bounds_of(subject, scene)
     if settings["trajectory"] == "CAMERA":
         trajectory: dict[str, Any] = {"type": "blend-camera"}
+        render["depth_scale"] = _depth_step(max(REACH, FARTHER * _distance_now(scene.camera, bounds)) * unit)
     else:
         trajectory = _path(bounds, settings)
         distance = trajectory["radius"]
@@ -129,9 +145,23 @@ def _scene_file(scene: bpy.types.Scene, subject: list[bpy.types.Object], setting
     return "\n".join([*lines, ""])
 
 
+def fitting_distance(scene: bpy.types.Scene, active: Any, kind: str, *, width: int, height: int) -> float:
+    """Return how far from the subject's center a camera has it fill an image. Raises ReconstructionError for none."""
+    return _fitting(bounds_of(_subject(scene, active, kind), scene).radius, width=width, height=height)
+
+
+def _fitting(radius: float, *, width: int, height: int) -> float:
+    half_height = SENSOR_WIDTH_MM / 2 / FOCAL_LENGTH_MM * min(height / width, 1.0)
+    return radius / math.sin(math.atan(half_height)) / FILLING
+
+
+def _distance_now(camera: bpy.types.Object, bounds: Bounds) -> float:
+    """Return how far from the camera, where it is now, the farthest thing may be."""
+    return float(np.linalg.norm(np.array(camera.matrix_world.translation) - bounds.center)) + bounds.reach
+
+
 def _path(bounds: Bounds, settings: dict[str, Any]) -> dict[str, Any]:
-    half_height = SENSOR_WIDTH_MM / 2 / FOCAL_LENGTH_MM * min(settings["height"] / settings["width"], 1.0)
-    fitting = bounds.radius / math.sin(math.atan(half_height)) / FILLING
+    fitting = _fitting(bounds.radius, width=settings["width"], height=settings["height"])
     path = {"center": list(bounds.center), "radius": settings["distance"] or fitting}
     if settings["trajectory"] == "ORBIT":
         elevation = math.degrees(settings["elevation"])

@@ -14,8 +14,12 @@ POSE_SUFFIX = ".pose.txt"
 
 @dataclass(frozen=True, kw_only=True)
 class Status:
-    """What is there: ``frames`` of ``frame_count`` (None: no dataset), a reconstruction, the dataset's true mesh."""
+    """What is there: ``frames`` of ``frame_count`` (None: no dataset), a reconstruction, the dataset's true mesh.
 
+    ``is_there`` tells whether the dataset's folder is, with whatever it holds.
+    """
+
+    is_there: bool
     frames: int
     frame_count: int | None
     is_fused: bool
@@ -28,6 +32,7 @@ class Status:
         return self.frame_count is not None and self.frames >= self.frame_count
 
 
+NOTHING = Status(is_there=False, frames=0, frame_count=None, is_fused=False, has_truth=False, has_sensor=False)
 _known: dict[tuple[Path, Path], tuple[float, Status]] = {}
 
 
@@ -38,7 +43,11 @@ def status_of(folder: Path, dataset: Path | None = None) -> Status:
     if key not in _known or now - _known[key][0] > KEEP_SECONDS:
         if len(_known) > 20:
             _known.clear()
-        _known[key] = (now, _look_up(folder, dataset))
+        try:
+            found = _look_up(folder, dataset)
+        except OSError:  # a folder that nobody may look into
+            found = NOTHING
+        _known[key] = (now, found)
     return _known[key][1]
 
 
@@ -56,6 +65,7 @@ def _look_up(folder: Path, dataset: Path) -> Status:
     truth = metadata.get("ground_truth_mesh")
     layers = metadata.get("layers")
     return Status(
+        is_there=dataset.exists(),
         frames=_frames(dataset / "frames"),
         frame_count=count if isinstance(count, int) else None,
         is_fused=(folder / RECONSTRUCTION / "reconstruction.json").is_file(),

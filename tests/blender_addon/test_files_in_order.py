@@ -177,9 +177,9 @@ def test_the_growing_mesh_follows_its_file_and_the_older_result_stands_aside(sph
         ball.export(tmp_path / "new.ply")
         (tmp_path / "new.ply").replace(tmp_path / "live.ply")
         assert followed(len(ball.vertices))
-        assert older.hide_viewport
+        assert older.hide_get()
     live.remove()
-    assert not older.hide_viewport
+    assert not older.hide_get()
     assert not [item for item in scene.objects if item.get("scanback_part") == "live"]
     assert len(bpy.data.meshes) == 1
     remove_live_meshes()

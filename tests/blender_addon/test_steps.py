@@ -23,6 +23,7 @@ from blender_addon.results.scene_units import metres_per_unit
 from blender_addon.settings import FuseProperties, ScanProperties
 from blender_addon.steps import reasons
 from blender_addon.steps.compare import triangles_of
+from blender_addon.steps.evaluation import evaluated_as_shown
 from blender_addon.steps.fuse import fuse_work
 from blender_addon.steps.scan_source import write_source
 from blender_addon.steps.scene_reference import remember
@@ -94,16 +95,22 @@ def _fuse_as_the_button_does(folder: Path) -> None:
     job = runner.start("Fuse", fuse_work(remember(bpy.context.scene), folder, folder / "dataset", chosen))
     assert reasons.why_not_fuse(bpy.context) == "Fuse is running"
     stages, longest, grew = set(), 0.0, False
+    original = bpy.data.objects["Original"]
+    assert original.visible_get()
     while not job.is_over:
         began = time.thread_time()
         pace = runner.advance()
         longest = max(longest, time.thread_time() - began)
         stages.add(job.log.stage)
-        grew = grew or any(item.get(PART_KEY) == LIVE_PART for item in bpy.data.objects)
+        grows = any(item.get(PART_KEY) == LIVE_PART for item in bpy.data.objects)
+        assert not (grows and original.visible_get())  # they would flicker
+        grew = grew or grows
         time.sleep(0.005 if pace is Pace.WAIT else 0)
     assert job.state is State.DONE, (job.message, list(job.log.lines))
     assert "integrate" in stages
     assert longest < 0.05
+    assert not original.visible_get()
+    assert "what was scanned is hidden" in job.message
     assert not any(item.get(PART_KEY) == LIVE_PART for item in bpy.data.objects)
     assert not any("live" in mesh.name for mesh in bpy.data.meshes)
 
@@ -111,14 +118,15 @@ def _fuse_as_the_button_does(folder: Path) -> None:
 def _offsets(points: np.ndarray) -> np.ndarray:
     """Return how far points (N, 3) of the scene are from the original's surface, by Blender's own nearest point."""
     original = bpy.data.objects["Original"]
-    shown = original.evaluated_get(bpy.context.evaluated_depsgraph_get())
-    world_from_object = np.array(shown.matrix_world)
-    object_from_world = np.linalg.inv(world_from_object)
     offsets = []
-    for point in points @ object_from_world[:3, :3].T + object_from_world[:3, 3]:
-        found, place, _, _ = shown.closest_point_on_mesh(tuple(map(float, point)))
-        assert found
-        offsets.append(np.linalg.norm(world_from_object[:3, :3] @ (np.array(place) - point)))
+    with evaluated_as_shown([original]) as depsgraph:  # it is hidden behind its reconstruction
+        shown = original.evaluated_get(depsgraph)
+        world_from_object = np.array(shown.matrix_world)
+        object_from_world = np.linalg.inv(world_from_object)
+        for point in points @ object_from_world[:3, :3].T + object_from_world[:3, 3]:
+            found, place, _, _ = shown.closest_point_on_mesh(tuple(map(float, point)))
+            assert found
+            offsets.append(np.linalg.norm(world_from_object[:3, :3] @ (np.array(place) - point)))
     return np.array(offsets)
 
 
@@ -167,14 +175,14 @@ def test_the_mesh_lies_on_the_object_whatever_its_units_and_modifiers(fused: Pat
 def test_what_is_scanned_is_in_metres_whatever_the_scenes_units(scanned: Path) -> None:
     """Depth and pose put each pixel onto the original, by what Blender says of that, to half a step of the depth."""
     dataset = open_dataset(scanned / "dataset")
-    frame = dataset.frame(3)
-    seen = frame.depth > 0
-    points = transform_points(frame.world_from_camera, dataset.camera.back_project(frame.depth)[seen])
-    assert len(points) > 500
     assert dataset.metadata is not None
-    step = dataset.metadata.depth_scale
-    along_ray = 1 / np.cos(np.arctan(np.hypot(32 / dataset.camera.fx, 24 / dataset.camera.fy)))
-    assert UNIT * _offsets(points[::5] / UNIT).max() <= 0.5 * step * along_ray + SINGLE * UNIT
+    half_step = 0.5 * dataset.metadata.depth_scale
+    along_ray = np.sqrt(1 + (32 / dataset.camera.fx) ** 2 + (24 / dataset.camera.fy) ** 2)
+    for frame in (dataset.frame(number) for number in (0, 3, 9)):
+        points = dataset.camera.back_project(frame.depth)[frame.depth > 0]
+        assert len(points) > 50
+        offsets = _offsets(transform_points(frame.world_from_camera, points) / UNIT)
+        assert UNIT * offsets.max() <= half_step * along_ray + SINGLE * UNIT
     truth = trimesh.load(scanned / "dataset" / "ground_truth" / "mesh.ply", process=False)
     vertices, triangles = triangles_of(bpy.data.objects["Original"])
     np.testing.assert_allclose(truth.bounds, UNIT * np.stack([vertices.min(0), vertices.max(0)]), rtol=1e-5)
@@ -259,9 +267,13 @@ def test_errors_are_colors_with_numbers(fused: Path) -> None:
 def test_a_mesh_that_was_deleted_is_brought_back_to_be_compared(fused: Path) -> None:
     (item,) = parts(_collection(), MESH_PART)
     bpy.data.objects.remove(item)
+    bpy.ops.ed.undo_push(message="deleted")
     assert bpy.ops.scanback.compare(folder=str(fused)) == {"FINISHED"}
     (item,) = parts(_collection(), MESH_PART)
     assert ERROR_COLORS in item.data.attributes
+    bpy.ops.ed.undo()
+    assert not parts(_collection(), MESH_PART)  # bringing it back and colouring it are one step
+    bpy.ops.ed.redo()
 
 
 def test_a_mesh_that_was_edited_is_not_colored(fused: Path) -> None:
@@ -328,6 +340,10 @@ def test_a_scan_without_a_camera_or_a_place_is_refused(extension: None, tmp_path
 def test_each_step_says_why_it_has_to_wait(tmp_path: Path) -> None:
     scene: Any = bpy.data.scenes.new("New")
     scene.scanback.folder = str(tmp_path / "new")
+    mesh = bpy.data.meshes.new("Triangle")
+    mesh.from_pydata([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [], [(0, 1, 2)])
+    item = bpy.data.objects.new("Triangle", mesh)
+    scene.collection.objects.link(item)
     with bpy.context.temp_override(scene=scene, view_layer=scene.view_layers[0]):
         assert reasons.why_not_scan(bpy.context) is None
         scene.scanback.scan.trajectory = "CAMERA"
@@ -335,6 +351,8 @@ def test_each_step_says_why_it_has_to_wait(tmp_path: Path) -> None:
         assert reasons.why_not_fuse(bpy.context) == "Scan first, or choose a dataset"
         assert reasons.why_not_locate(bpy.context) == "Fuse first"
         assert reasons.why_not_compare(bpy.context) == "Fuse first"
+    bpy.data.objects.remove(item)
+    bpy.data.meshes.remove(mesh)
     bpy.data.scenes.remove(scene)
 
 
