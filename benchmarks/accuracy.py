@@ -29,7 +29,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from benchmarks.exact_scenes import CAMERA, SAMPLES, Scene, make_scene, poses_around
 from fusion.devices import load_kernels, resolve_device
 from fusion.evaluation.evaluate import sample_surface
-from fusion.frames.frame_batch import FrameUploader
+from fusion.frames.frame_batch import MAX_BATCH, FrameUploader
 from fusion.integration.fuse_batch import find_batch_blocks, integrate_batch, load_fusion_kernels
 from fusion.integration.options import DepthSampling, Integration, Weighting
 from fusion.surface.closest_points import closest_points
@@ -41,7 +41,7 @@ from fusion.volume.tsdf_volume import Volume
 
 __all__ = ["BATCH", "CAMERA", "Scene", "fuse", "make_scene", "poses_around"]  # for surfaces.py
 
-BATCH = 16
+BATCH = MAX_BATCH
 FAR_VOXELS = 1.5
 
 

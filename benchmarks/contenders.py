@@ -4,14 +4,12 @@ import numpy as np
 
 from datagen.rigid import inverse
 from fusion.devices import load_kernels, resolve_device
-from fusion.frames.frame_batch import FrameUploader
+from fusion.frames.frame_batch import MAX_BATCH, FrameUploader
 from fusion.integration.fuse_batch import find_batch_blocks, integrate_batch, load_fusion_kernels
 from fusion.integration.options import Integration
 from fusion.surface.marching_cubes import marching_cubes
 from fusion.surface.meshers import KERNEL_MODULES
 from fusion.volume.tsdf_volume import Volume
-
-BATCH = 16
 
 
 def scanback(frames, camera, options):
@@ -24,11 +22,11 @@ def scanback(frames, camera, options):
     steps = np.stack([np.rint(f.depth / options.depth_scale).astype(np.uint16) for f in frames])
     poses = [f.world_from_camera for f in frames]
     colors = np.stack([f.color for f in frames])
-    batches = [slice(first, first + BATCH) for first in range(0, len(frames), BATCH)]
+    batches = [slice(first, first + MAX_BATCH) for first in range(0, len(frames), MAX_BATCH)]
 
     def integrate():
         volume = Volume(device=device, max_blocks=10**6, storage=options.storage, **lengths)
-        upload = FrameUploader(camera, device=device, capacity=BATCH, depth_scale=options.depth_scale)
+        upload = FrameUploader(camera, device=device, capacity=MAX_BATCH, depth_scale=options.depth_scale)
         tiles = [find_batch_blocks(volume.table, upload(steps[some], poses[some]), **lengths) for some in batches]
         volume.table.sort()
         volume.reserve(volume.table.count)

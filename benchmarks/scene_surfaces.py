@@ -123,7 +123,7 @@ def measure_scene(dataset, options, device, print_row):
             volume = made.volume
             base = base or volume.voxel_size
             truth = truth or true_surface(dataset, frames, base, device)
-            with fused_frames(Path(folder), made.record, config, device) as source:
+            with fused_frames(Path(folder), made.record, config) as source:
                 oracle = depth_oracle(volume, source, config.integration)
         ways = {
             "marching cubes": lambda volume=volume: marching_cubes(volume),

@@ -55,11 +55,12 @@ def rigid(matrix: ArrayLike, *, source: str) -> Matrix:
 
 
 def inverse(target_from_source: Matrix) -> Matrix:
-    """Return ``source_from_target`` of a rigid 4×4 transform."""
-    rotation = target_from_source[:3, :3]
-    source_from_target = np.eye(4)
-    source_from_target[:3, :3] = rotation.T
-    source_from_target[:3, 3] = -rotation.T @ target_from_source[:3, 3]
+    """Return ``source_from_target`` of a rigid transform (4, 4), or of each of several (…, 4, 4)."""
+    rotation = np.swapaxes(target_from_source[..., :3, :3], -1, -2)
+    source_from_target = np.zeros(target_from_source.shape)
+    source_from_target[..., :3, :3] = rotation
+    source_from_target[..., :3, 3:] = -rotation @ target_from_source[..., :3, 3:]
+    source_from_target[..., 3, 3] = 1.0
     return source_from_target
 
 

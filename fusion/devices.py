@@ -3,6 +3,7 @@
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
+from dataclasses import dataclass
 from functools import cache
 from typing import Any, TypeAlias, TypeVar
 
@@ -63,6 +64,16 @@ def load_kernels(
         advance()
 
 
+@dataclass(frozen=True, kw_only=True)
+class Step:
+    """A kernel that follows another one: its arguments but the first; ``threads`` of it belong to each index."""
+
+    kernel: Kernel
+    inputs: list[Any]
+    outputs: list[Any]
+    threads: int = 1
+
+
 def launch_in_slabs(
     kernel: Kernel,
     *,
@@ -72,12 +83,14 @@ def launch_in_slabs(
     device: Device,
     block_dim: int = 256,
     least_slab: int = 1,
+    then: Step | None = None,
 ) -> None:
     """Launch ``kernel`` over [0, dim); on the CPU in slabs on all cores.
 
     The kernel's first parameter is the index at which its slab begins, to be added to ``wp.tid()``. Its threads must
     not write to the same place: Warp's atomics are not atomic across CPU launches. Where a thread does little, a slab
-    of fewer than ``least_slab`` is not worth a launch.
+    of fewer than ``least_slab`` is not worth a launch. ``then`` follows on each slab as soon as that is done: of what
+    ``kernel`` writes it may read what belongs to its own index alone.
     """
     if dim > 0:
         SlabLaunch(
@@ -88,6 +101,7 @@ def launch_in_slabs(
             device=device,
             block_dim=block_dim,
             least_slab=least_slab,
+            then=then,
         ).run()
 
 
@@ -107,40 +121,53 @@ class SlabLaunch:
         device: Device,
         block_dim: int = 256,
         least_slab: int = 1,
+        then: Step | None = None,
     ) -> None:
+        self._steps = [Step(kernel=kernel, inputs=inputs, outputs=outputs), *([then] if then else [])]
         # Loaded before the pool begins, or each thread would compile it.
-        wp.load_module(kernel.module, device=device)
-        cores = 1 if device.is_cuda else _core_count()
-        # Several slabs a core, so that a core which is done early takes over work.
-        self._slab = dim if device.is_cuda else min(max(-(-dim // (8 * cores)), least_slab), dim)
+        for step in self._steps:
+            wp.load_module(step.kernel.module, device=device)
+        self._device = device
+        self._block_dim = block_dim if device.is_cuda else None
         self._dim = dim
-        self._commands = [
-            wp.launch(
-                kernel,
-                dim=self._slab,
-                inputs=[0, *inputs],
-                outputs=outputs,
-                device=device,
-                block_dim=block_dim if device.is_cuda else None,
-                record_cmd=True,
-            )
-            for _ in range(min(cores, -(-dim // self._slab)))
-        ]
+        # Several slabs a core, so that a core which is done early takes over work.
+        self._slab = dim if device.is_cuda else min(max(-(-dim // (8 * _core_count())), least_slab), dim)
+        self._idle: list[list[Any]] = []
 
     def run(self) -> None:
         """Launch the kernel, and on the CPU wait until it is done."""
         firsts = iter(range(0, self._dim, self._slab))
-        idle = list(self._commands)
 
         def work() -> None:
-            command = idle.pop()  # each thread has its own: a command holds the slab that it is at
+            # Each thread has its own: a command holds the slab that it is at.
+            try:
+                commands = self._idle.pop()
+            except IndexError:
+                commands = self._recorded()
             for first in firsts:
-                command.set_param_at_index(0, first)
-                if self._dim % self._slab:
-                    command.set_dim(min(self._slab, self._dim - first))
-                command.launch()
+                for step, command in zip(self._steps, commands, strict=True):
+                    command.set_param_at_index_from_ctype(0, first * step.threads)
+                    if self._dim % self._slab:
+                        command.set_dim(min(self._slab, self._dim - first) * step.threads)
+                    command.launch()
+            self._idle.append(commands)
 
-        _on_all_cores(work, tasks=len(self._commands))
+        _on_all_cores(work, tasks=-(-self._dim // self._slab))
+
+    def _recorded(self) -> list[Any]:
+        """Pack the arguments, for a thread that comes for the first time."""
+        return [
+            wp.launch(
+                step.kernel,
+                dim=self._slab * step.threads,
+                inputs=[0, *step.inputs],
+                outputs=step.outputs,
+                device=self._device,
+                block_dim=self._block_dim,
+                record_cmd=True,
+            )
+            for step in self._steps
+        ]
 
 
 def map_on_cores(function: Callable[[_Item], None], items: Sequence[_Item]) -> None:

@@ -6,10 +6,9 @@ from pathlib import Path
 from datagen.errors import InputError
 from datagen.open_dataset import open_dataset
 from datagen.progress import ProgressReporter, silent
-from fusion.devices import Device, load_kernels
+from fusion.devices import load_kernels
 from fusion.frames.frame_batch import FrameUploader
 from fusion.frames.frame_source import FrameSource
-from fusion.integration.fuse import batch_size
 from fusion.integration.options import Integration
 from fusion.reconstruction_config import ReconstructionConfig
 from fusion.reconstruction_files import RECORD_FILE, ReconstructionRecord
@@ -70,13 +69,11 @@ def mesh_again(
     if not asks_depth(config):
         return mesh_volume(volume, config.mesher, min_weight=config.min_weight, normals=normals)
     clock = Stopwatch(volume.device)
-    with fused_frames(folder, record, config, volume.device) as source:
+    with fused_frames(folder, record, config) as source:
         return mesh_fused(volume, source, config, clock=clock, normals=normals, progress=progress)
 
 
-def fused_frames(
-    folder: Path, record: ReconstructionRecord, config: ReconstructionConfig, device: Device
-) -> FrameSource:
+def fused_frames(folder: Path, record: ReconstructionRecord, config: ReconstructionConfig) -> FrameSource:
     """Return the frames that a reconstruction was made of; raises InputError where its dataset is not there."""
     path = (folder / record.dataset).resolve()
     if not path.is_dir():
@@ -88,7 +85,7 @@ def fused_frames(
     if config.depth_layer is not None:
         dataset = dataset.with_depth_layer(config.depth_layer)
     frames = tuple(fused.frame for fused in record.trajectory)
-    return FrameSource(dataset, frames, depth_max=record.depth_max_m, batch_size=batch_size(device))
+    return FrameSource(dataset, frames, depth_max=record.depth_max_m)
 
 
 def recorded_config(

@@ -14,9 +14,10 @@ from datagen.frame_selection import select_frames
 from datagen.progress import ProgressReporter, silent
 from fusion.devices import Device, load_kernels, resolve_device
 from fusion.evaluation.evaluate import Observers, evaluate
+from fusion.frames.frame_batch import MAX_BATCH
 from fusion.frames.frame_source import FrameSource
 from fusion.frames.survey import SceneSurvey, combine
-from fusion.integration.fuse import Fused, Watcher, batch_size, fuse
+from fusion.integration.fuse import WATCHED_BATCH, Fused, Watcher, fuse
 from fusion.integration.fuse_batch import load_fusion_kernels
 from fusion.meshing import mesh_fused
 from fusion.reconstruction_config import Lengths, ReconstructionConfig, choose_lengths
@@ -74,7 +75,8 @@ def reconstruct(
     start = time.perf_counter()
     clock = Stopwatch(device)
     frame_ids = select_frames(dataset.frame_ids, config.frames)
-    with FrameSource(seen, frame_ids, depth_max=config.depth_max, batch_size=batch_size(device)) as source:
+    batch_size = MAX_BATCH if watch is None else WATCHED_BATCH
+    with FrameSource(seen, frame_ids, depth_max=config.depth_max, batch_size=batch_size) as source:
         lengths = choose_lengths(config, lambda: _survey(source, progress))
         fused = fuse(
             source,

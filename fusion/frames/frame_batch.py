@@ -116,7 +116,7 @@ class FrameUploader:
         in_place = self.device.is_cpu and _are_one_array(depths, depth.shape, np.uint16)
         in_place &= colors is None or _are_one_array(colors, (*depth.shape, 3), np.uint8)
         camera_from_world_rows = buffers.host[1].numpy()
-        camera_from_world_rows[:count] = [inverse(pose) for pose in poses]
+        camera_from_world_rows[:count] = inverse(np.asarray(poses))
         if in_place:
             depth = wp.array(depths, dtype=depth.dtype, device=self.device, copy=False)
             color = None if colors is None else _as_rows(colors, self.device)

@@ -7,7 +7,7 @@ from typing import TypeAlias
 from datagen.progress import ProgressReporter
 from fusion.devices import Device
 from fusion.frames.depth_tiles import DepthTiles
-from fusion.frames.frame_batch import MAX_BATCH, FrameBatch, FrameUploader
+from fusion.frames.frame_batch import FrameBatch, FrameUploader
 from fusion.frames.frame_source import FrameSource
 from fusion.frames.survey import SceneSurvey, combine
 from fusion.integration.fuse_batch import find_batch_blocks, integrate_batch
@@ -21,8 +21,8 @@ from fusion.volume.tsdf_volume import Volume
 from fusion.volume.voxel_counts import UpdateCounter
 from fusion.volume.voxels import Storage
 
-CPU_BATCH = 16
-"""On the CPU the images of a batch should stay in its cache; a GPU rather gains from visiting voxels less often."""
+WATCHED_BATCH = 8
+"""Frames at a time where somebody watches the volume grow; otherwise large batches visit voxels less often."""
 
 TILES_BYTES = 64 << 20
 """How much of what the allocation pass found out about the images is kept for integration."""
@@ -39,11 +39,6 @@ class Fused:
     volume: Volume
     survey: SceneSurvey
     voxel_updates: int
-
-
-def batch_size(device: Device) -> int:
-    """Return how many frames to fuse at a time on a device."""
-    return MAX_BATCH if device.is_cuda else CPU_BATCH
 
 
 def fuse(

@@ -5,7 +5,7 @@ from dataclasses import replace
 import warp as wp
 
 from datagen.progress import ProgressReporter, silent
-from fusion.devices import Device, load_kernels
+from fusion.devices import Device, Step, load_kernels
 from fusion.frames import color_confidence, depth_tiles
 from fusion.frames.depth_tiles import DepthTiles
 from fusion.frames.frame_batch import FrameBatch
@@ -17,24 +17,13 @@ from fusion.integration.visible_blocks import visible_blocks
 from fusion.volume.block_table import BlockTable
 from fusion.volume.tsdf_volume import Volume
 
-wp.set_module_options({"enable_backward": False, "max_unroll": 1})
-
 KERNEL_MODULES = (
-    "fusion.integration.fuse_batch",
     "fusion.volume.block_table",
     "fusion.frames.frame_matrices",
     "fusion.integration.find_blocks",
     "fusion.frames.farthest_depths",
     "fusion.integration.visible_blocks",
 )
-
-
-@wp.kernel
-def _hold_back(problem: wp.array(dtype=int), masks: wp.array2d(dtype=wp.uint32)) -> None:
-    if problem[0] != 0:
-        number = wp.tid()
-        for part in range(masks.shape[1]):
-            masks[number, part] = wp.uint32(0)
 
 
 def load_fusion_kernels(
@@ -84,9 +73,18 @@ def integrate_batch(
     color_confidence.judge_colors(batch, step=volume.truncation)
     weights = pixel_weights.pixel_weights(batch, options.weighting, step=volume.truncation)
     matrices = frame_matrices(batch, volume.voxel_size)
-    masks = visible_blocks(volume.table, batch, tiles, matrices, truncation=volume.truncation, blocks=blocks)
-    if problem is not None:
-        wp.launch(_hold_back, dim=masks.shape[0], inputs=[problem], outputs=[masks], device=volume.device)
     weighed = replace(batch, pixel_weights=weights)
-    integrate.integrate_frames(volume, weighed, matrices, masks, options, remove=remove)
-    return masks
+
+    def integration(masks: wp.array) -> Step:
+        return integrate.integration_step(volume, weighed, matrices, masks, options, remove=remove)
+
+    return visible_blocks(
+        volume.table,
+        batch,
+        tiles,
+        matrices,
+        truncation=volume.truncation,
+        blocks=blocks,
+        problem=problem,
+        then=integration,
+    )

@@ -8,7 +8,7 @@ says.
 
 import warp as wp
 
-from fusion.devices import Device, Kernel, launch_in_slabs
+from fusion.devices import Device, Kernel, Step
 from fusion.frames.frame_batch import FrameBatch
 from fusion.frames.frame_matrices import FrameMatrices
 from fusion.integration.options import Integration
@@ -33,7 +33,7 @@ def threads_a_block(device: Device) -> int:
     return BLOCK_VOXELS if device.is_cuda else 1
 
 
-def integrate_frames(
+def integration_step(
     volume: Volume,
     batch: FrameBatch,
     matrices: FrameMatrices,
@@ -41,11 +41,11 @@ def integrate_frames(
     options: Integration,
     *,
     remove: bool = False,
-) -> None:
-    """Add a batch of frames to the volume's sums, or take it away, over what they see of its blocks.
+) -> Step:
+    """Return the step that adds a batch of frames to the sums of each block of the volume, or takes it away.
 
-    ``masks`` (blocks, 4) come from ``visible_blocks``; blocks beyond them are left alone. Removing what was added with
-    the same options leaves the sums as they were before, to rounding.
+    It follows ``visible_blocks``, whose ``masks`` (blocks, 4) tell what the frames see of a block. Removing what was
+    added with the same options leaves the sums as they were before, to rounding.
     """
     assert batch.color is not None, "integration takes frames with colour"
     frames = frames_type(batch.depth.dtype)()
@@ -60,11 +60,9 @@ def integrate_frames(
     rules.truncation = volume.truncation
     rules.sign = -1.0 if remove else 1.0
     rules.weight_cap = options.weight_cap or 3.0e38
-    launch_in_slabs(
-        kernel_for(batch.depth.dtype, volume.device, options, weighted=batch.pixel_weights is not None),
-        dim=masks.shape[0] * threads_a_block(volume.device),
+    return Step(
+        kernel=kernel_for(batch.depth.dtype, volume.device, options, weighted=batch.pixel_weights is not None),
         inputs=[masks, volume.table.blocks, frames, rules],
         outputs=[volume.voxels],
-        device=volume.device,
-        least_slab=16,
+        threads=threads_a_block(volume.device),
     )

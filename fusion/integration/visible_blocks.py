@@ -8,9 +8,11 @@ A block is tested whole, then by parts of 8×4×4 voxels. A test takes a few loo
 squares of tiles, which cover what the part's box may project to.
 """
 
+from collections.abc import Callable
+
 import warp as wp
 
-from fusion.devices import launch_in_slabs
+from fusion.devices import Step, launch_in_slabs
 from fusion.frames.depth_tiles import DepthTiles
 from fusion.frames.farthest_depths import farthest_depths
 from fusion.frames.frame_batch import TILE, FrameBatch
@@ -127,6 +129,7 @@ def mark_parts(
 def _mark_visible(
     first: int,
     count: wp.array(dtype=int),
+    problem: wp.array(dtype=int),
     blocks: wp.array(dtype=wp.vec3i),
     views: wp.array2d(dtype=float),
     intrinsics: wp.vec4,  # fx, fy, cx, cy
@@ -137,7 +140,10 @@ def _mark_visible(
     masks: wp.array2d(dtype=wp.uint32),
 ) -> None:
     number = wp.tid() + first
-    if number >= count[0]:
+    passed_over = number >= count[0]
+    if problem.shape[0] > 0:
+        passed_over = passed_over or problem[0] != 0
+    if passed_over:
         for part in range(_PARTS):
             masks[number, part] = wp.uint32(0)
         return
@@ -168,11 +174,14 @@ def visible_blocks(
     *,
     truncation: float,
     blocks: int | None = None,
+    problem: wp.array | None = None,
+    then: Callable[[wp.array], Step] | None = None,
 ) -> wp.array:
     """Return frame masks (blocks, 4) uint32: bit f of a part of a block is set where frame f may update a voxel.
 
     ``truncation`` is metres. Masks are made for the first ``blocks`` blocks, as many as the host knows of if not given;
-    more than there are get 0.
+    more than there are get 0, and all where ``problem[0]``, on the device, is not 0. ``then`` tells what follows for
+    each block once its masks are there.
     """
     camera, device = batch.camera, table.device
     count = table.count if blocks is None else blocks
@@ -182,6 +191,7 @@ def visible_blocks(
         dim=count,
         inputs=[
             table.arrays.count,
+            wp.empty(0, dtype=int, device=device) if problem is None else problem,
             table.blocks,
             matrices.views,
             wp.vec4(camera.fx, camera.fy, camera.cx, camera.cy),
@@ -192,6 +202,7 @@ def visible_blocks(
         ],
         outputs=[masks],
         device=device,
-        least_slab=64,
+        least_slab=16,
+        then=then(masks) if then else None,
     )
     return masks
