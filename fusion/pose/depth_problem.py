@@ -29,8 +29,8 @@ _MODEL_NOISE_VOXELS = 0.12
 _INLIER_VOXELS = 1.5
 """A point is an inlier within this much of the surface, or within 3.5 standard deviations where that is more: no fused
 surface is to be trusted to less than a voxel everywhere."""
-_EXPLAINED = 0.65
-"""Share of the query's points, and of the model's surface, from which on one start is enough."""
+_EDGE_SHARE, _CUT_FROM = 0.02, 0.01
+"""Of the image's size, how wide its edge is, and of the points, how many there are too many for an object in sight."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -90,29 +90,43 @@ class DepthProblem:
         residuals[~known.any(axis=1)] = self.radius
         return np.maximum(1.4826 * np.nanmedian(residuals, axis=1), self.floor)
 
-    def agreements(self, poses: NDArray[np.float64], *, within: float) -> NDArray[np.float64]:
+    def agreements(self, poses: NDArray[np.float64], *, within: float, most: int | None = None) -> NDArray[np.float64]:
         """Return the share (n,) of the model's surface, as far as it should be seen, that the query shows."""
-        return agreement(overlap(self.model, self.view, poses, within=within))
+        return agreement(overlap(self.model, self.view, poses, within=within, most=most))
 
-    def scores(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return how well poses (n, 4, 4) explain the view, from 0 to 1: the geometric mean of both ways."""
+    def scores(self, poses: NDArray[np.float64], *, count: int = MIDDLE_POINTS) -> NDArray[np.float64]:
+        """Return how well poses (n, 4, 4) explain the view, from 0 to 1: the geometric mean of both ways.
+
+        Of the query ``count`` points are asked, and four times as many of the model, of which most are not in sight.
+        """
         wide = Robustness(
             kind=GEMAN_MCCLURE,
             scales=np.full(len(poses), 4 * self.floor),
             floor=self.floor,
             inlier_within=self.inlier_within,
         )
-        count = min(MIDDLE_POINTS, self.cloud.count)
+        some = min(count, self.cloud.count)
         normals = normal_equations(
-            self.model, self.cloud, poses, count=count, pivot_world=self.pivot_world, robustness=wide
+            self.model, self.cloud, poses, count=some, pivot_world=self.pivot_world, robustness=wide
         )
-        agreed = self.agreements(poses, within=2 * self.tolerance)
+        agreed = self.agreements(poses, within=2 * self.tolerance, most=4 * count)
         return np.sqrt(np.maximum(1 - 2 * normals.cost, 0) * agreed)
 
-    def explained_by(self, found: Descent) -> bool:
-        """Tell whether a descent explains the view well enough that no other start is needed."""
+    def explained(self, found: Descent) -> float:
+        """Return how much of the view a descent of one pose explains: of points and of the surface, the lesser share.
+
+        The surface counts as far as it should be seen: what something hides is not expected.
+        """
         agreed = self.agreements(found.poses, within=2 * self.tolerance)
-        return bool(found.normals.inliers[0] > _EXPLAINED and agreed[0] > _EXPLAINED)
+        return float(min(found.normals.inliers[0], agreed[0]))
+
+    @property
+    def is_cut(self) -> bool:
+        """Whether the image's edge cuts off what the query shows, so that its middle is not that of an object."""
+        camera, size = self.camera, np.array([self.camera.width, self.camera.height])
+        pixels = camera.project(self.cloud.points_camera)
+        at_edge = (np.minimum(pixels, size - 1 - pixels) < _EDGE_SHARE * size).any(axis=1)
+        return bool(at_edge.mean() > _CUT_FROM)
 
 
 def depth_problem(model: PoseModel, query: Query, cloud: QueryCloud, start: Matrix) -> DepthProblem:

@@ -27,6 +27,10 @@ from fusion.pose.uncertainty import uncertainty
 Starts = Literal["auto", "one", "many", "here"]
 
 FEWEST_POINTS = 60
+_ABOUT = (starts_about, starts_all_about)
+_ENOUGH, _ENOUGH_OF_A_SEARCH = 0.9, 0.65
+"""Share of the view that has to be explained for no other start to be tried: where nothing is known but the start, a
+pose that slid along a floor explains much of it, too."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,10 +100,11 @@ def _searched(
     if best is not None and options.starts == "one":
         return best
     # What a search all over the model has not found is not found by one all about the start.
-    for more in (starts_about, starts_all_about) if others is None else (starts_about,):
-        if best is not None and problem.explained_by(best):
+    searches, enough = ((starts_about,), _ENOUGH_OF_A_SEARCH) if others is not None else (_ABOUT, _ENOUGH)
+    for more in searches:
+        if best is not None and problem.explained(best) > enough:
             break
-        found = from_many(problem, more(problem.model, start, problem.cloud.points_camera, problem.camera))
+        found = from_many(problem, more(problem.model, start, None if problem.is_cut else problem.cloud.points_camera))
         spent = found.iterations + (0 if best is None else best.iterations)
         best = replace(found if best is None else better(problem, best, found), iterations=spent)
     assert best is not None

@@ -30,16 +30,19 @@ _HUNDREDS = 60
 def from_one(problem: DepthProblem, start: Matrix, others: NDArray[np.float64]) -> Descent:
     """Descend from one start, coarse to fine; as it is, and shifted so that the model is where the depth is.
 
-    ``others`` (m, 4, 4) are taken instead where they explain the view clearly better.
+    Of a view that the image's edge cuts off, nothing tells where the model has to go, and there is no shift. ``others``
+    (m, 4, 4) are taken instead where they explain the view clearly better.
     """
-    shifted = shifted_onto_depth(problem.model, start[None], problem.cloud.points_camera, problem.camera)
-    poses, spent = coarse(problem, np.concatenate([start[None], shifted, others]), count=_COARSE_POINTS)
+    own = start[None]
+    if not problem.is_cut:
+        own = np.concatenate([own, shifted_onto_depth(problem.model, own, problem.cloud.points_camera)])
+    poses, spent = coarse(problem, np.concatenate([own, others]), count=_COARSE_POINTS)
     scores = problem.scores(poses)
-    best = int(scores[:2].argmax())
+    best = int(scores[: len(own)].argmax())
     found = fine(problem, poses[best][None])
     spent += found.iterations
-    if len(others) and scores[2:].max() > scores[best]:
-        other = fine(problem, poses[2 + int(scores[2:].argmax())][None])
+    if len(others) and scores[len(own) :].max() > scores[best]:
+        other = fine(problem, poses[len(own) + int(scores[len(own) :].argmax())][None])
         spent += other.iterations
         found = better(problem, found, other)
     return replace(found, iterations=spent)
@@ -75,7 +78,7 @@ def from_many(problem: DepthProblem, poses: NDArray[np.float64]) -> Descent:
     spent = 0
     if len(poses) > _HUNDREDS:
         poses, spent = coarse(problem, poses, count=_FEW_POINTS, rounds=_FEW_ROUNDS)
-        poses = _best(problem, poses, _KEPT_OF_HUNDREDS)
+        poses = _best(problem, poses, _KEPT_OF_HUNDREDS, asked=_MANY_POINTS)
     poses, more = coarse(problem, poses, count=_MANY_POINTS)
     spent += more
     for count in (_KEPT, 1):
@@ -98,5 +101,8 @@ def better(problem: DepthProblem, first: Descent, second: Descent) -> Descent:
     return second if scores[1] > CLEARLY * scores[0] else first
 
 
-def _best(problem: DepthProblem, poses: NDArray[np.float64], count: int) -> NDArray[np.float64]:
-    return poses[np.argsort(-problem.scores(poses), kind="stable")[:count]]
+def _best(
+    problem: DepthProblem, poses: NDArray[np.float64], count: int, *, asked: int = MIDDLE_POINTS
+) -> NDArray[np.float64]:
+    """Return the best poses by as many points as are asked."""
+    return poses[np.argsort(-problem.scores(poses, count=asked), kind="stable")[:count]]

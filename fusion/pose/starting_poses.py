@@ -3,7 +3,6 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.camera import PinholeCamera
 from datagen.rigid import Matrix, inverse, transform_points
 from fusion.pose.pose_model import PoseModel
 from fusion.pose.se3 import perturb
@@ -11,11 +10,11 @@ from fusion.pose.se3 import perturb
 TURN_WITH_DEPTH_DEG, TURN_BY_OUTLINE_DEG = 35.0, 30.0
 
 ALL_TURNS_DEG, TURNS_APART_DEG = 45.0, 30.0
-SIDEWAYS = 0.1
-"""Of the query's depth: a shift, to all sides, from which a start half as far off comes right."""
+ALL_SHIFTS = 0.12
+"""Metres: with these turns, from which as large an error of a camera within a scene comes right."""
 
-_POINTS, _CELLS_ACROSS, _FEWEST_IN_IMAGE = 2000, 16, 20
-"""The model's points that tell which of it is seen, directions into which it is divided, and points that are enough."""
+_POINTS, _CELLS_ACROSS = 2000, 16
+"""The model's points that tell which of it is seen, and directions into which it is divided for that."""
 
 
 def ring_of_turns(turn_deg: float) -> NDArray[np.float64]:
@@ -27,34 +26,31 @@ def ring_of_turns(turn_deg: float) -> NDArray[np.float64]:
     return twists
 
 
-def starts_about(
-    model: PoseModel, start: Matrix, points_camera: NDArray[np.float64], camera: PinholeCamera
-) -> NDArray[np.float64]:
-    """Return the start and poses (n, 4, 4) about it, each as it is and shifted so that the model is where the depth is.
+def starts_about(model: PoseModel, start: Matrix, points_camera: NDArray[np.float64] | None) -> NDArray[np.float64]:
+    """Return the start and poses (n, 4, 4) about it, turned about the model's middle.
 
-    They are turned about the model's middle; ``points_camera`` (n, 3) are the query's, which ``camera`` sees.
+    Each is there as it is and shifted so that the model is where the depth is: ``points_camera`` (n, 3) are the
+    query's, None where they do not tell, since only a part of the model is in the image.
     """
-    shifted = shifted_onto_depth(model, start[None], points_camera, camera)
+    if points_camera is None:
+        return perturb(ring_of_turns(TURN_WITH_DEPTH_DEG), start, pivot_world=model.centre_world)
+    shifted = shifted_onto_depth(model, start[None], points_camera)
     ring = perturb(ring_of_turns(TURN_WITH_DEPTH_DEG), shifted[0], pivot_world=model.centre_world)
-    return np.concatenate([start[None], shifted_onto_depth(model, ring, points_camera, camera), ring[1:]])
+    return np.concatenate([start[None], shifted_onto_depth(model, ring, points_camera), ring[1:]])
 
 
-def starts_all_about(
-    model: PoseModel, start: Matrix, points_camera: NDArray[np.float64], camera: PinholeCamera
-) -> NDArray[np.float64]:
-    """Return poses (n, 4, 4) that leave no gap about the start: as above, but turned and shifted by all that is likely.
+def starts_all_about(model: PoseModel, start: Matrix, points_camera: NDArray[np.float64] | None) -> NDArray[np.float64]:
+    """Return poses (n, 4, 4) that leave no gap about the start, turned by all that is likely.
 
-    A part of a scene that fills the image does not tell by its middle how far it is shifted along itself: for that,
-    each turned pose is shifted sideways, too.
+    Where depth does not tell where the model has to go (see ``starts_about``), they are also shifted to six sides.
     """
-    middle = np.median(points_camera, axis=0)
-    shifted = shifted_onto_depth(model, start[None], points_camera, camera)[0]
-    turned = perturb(turns_within(ALL_TURNS_DEG, apart_deg=TURNS_APART_DEG), shifted, pivot_world=model.centre_world)
-    turned = shifted_onto_depth(model, turned, points_camera, camera)
-    angles = np.arange(6) * np.pi / 3
-    sideways = SIDEWAYS * middle[2] * np.stack([np.cos(angles), np.sin(angles), np.zeros(6)], axis=-1)
-    poses = np.repeat(turned[:, None], 1 + len(sideways), axis=1)
-    poses[:, 1:, :3, 3] += np.einsum("nij,kj->nki", turned[:, :3, :3], sideways)
+    turns = turns_within(ALL_TURNS_DEG, apart_deg=TURNS_APART_DEG)
+    if points_camera is not None:
+        shifted = shifted_onto_depth(model, start[None], points_camera)[0]
+        return shifted_onto_depth(model, perturb(turns, shifted, pivot_world=model.centre_world), points_camera)
+    turned = perturb(turns, start, pivot_world=model.centre_world)
+    poses = np.repeat(turned[:, None], 7, axis=1)
+    poses[:, 1:, :3, 3] += ALL_SHIFTS * np.concatenate([np.eye(3), -np.eye(3)])
     return poses.reshape(-1, 4, 4)
 
 
@@ -78,32 +74,19 @@ def turns_within(most_deg: float, *, apart_deg: float) -> NDArray[np.float64]:
 
 
 def shifted_onto_depth(
-    model: PoseModel, poses: NDArray[np.float64], points_camera: NDArray[np.float64], camera: PinholeCamera
+    model: PoseModel, poses: NDArray[np.float64], points_camera: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Shift poses (n, 4, 4) so that the middle of what they should see of the model is that of the query's points.
-
-    What they should see is what lies in the image, if anything does; since a shift changes that, it is done twice.
-    """
+    """Shift poses (n, 4, 4) so that the middle of what they should see of the model is that of the query's points."""
     points = model.surface_points.numpy()[:_POINTS] + model.origin_world
     normals = model.surface_normals.numpy()[:_POINTS]
     middle_camera = np.median(points_camera, axis=0)
     result = poses.copy()
     for pose in result:
-        for _time in range(2):
-            facing = ((points - pose[:3, 3]) * normals).sum(axis=1) < 0
-            seen = _in_image(_in_front(transform_points(inverse(pose), points[facing]), model.diameter), camera)
-            middle = np.median(seen, axis=0) if len(seen) else transform_points(inverse(pose), model.centre_world)
-            pose[:3, 3] += pose[:3, :3] @ (middle - middle_camera)
+        facing = ((points - pose[:3, 3]) * normals).sum(axis=1) < 0
+        seen = _in_front(transform_points(inverse(pose), points[facing]), model.diameter)
+        middle = np.median(seen, axis=0) if len(seen) else transform_points(inverse(pose), model.centre_world)
+        pose[:3, 3] += pose[:3, :3] @ (middle - middle_camera)
     return result
-
-
-def _in_image(points_camera: NDArray[np.float64], camera: PinholeCamera) -> NDArray[np.float64]:
-    """Return those of the points (n, 3) that are in the image; all where hardly any are."""
-    if not len(points_camera):
-        return points_camera
-    off_middle = np.abs(camera.project(points_camera) - ((camera.width - 1) / 2, (camera.height - 1) / 2))
-    inside = (off_middle < (camera.width / 2, camera.height / 2)).all(axis=1)
-    return points_camera[inside] if inside.sum() >= _FEWEST_IN_IMAGE else points_camera
 
 
 def _in_front(points_camera: NDArray[np.float64], diameter: float) -> NDArray[np.float64]:

@@ -96,13 +96,21 @@ def _classify(
 
 
 def overlap(
-    model: PoseModel, view: QueryView, poses: NDArray[np.float64], *, within: float, within_per_square: float = 0.0
+    model: PoseModel,
+    view: QueryView,
+    poses: NDArray[np.float64],
+    *,
+    within: float,
+    within_per_square: float = 0.0,
+    most: int | None = None,
 ) -> NDArray[np.int64]:
     """Count the model's points that are matched, hidden, missing and unknown at each of ``poses`` (n, 4, 4).
 
-    Depths agree ``within`` + ``within_per_square`` · z² metres, measured across the surface. Returns (n, 4).
+    Depths agree ``within`` + ``within_per_square`` · z² metres, measured across the surface. ``most`` of the points
+    are asked, all of them without it. Returns (n, 4).
     """
     count = int(model.surface_points.shape[0])
+    count = count if most is None else min(count, most)
     runs = -(-count // _RUN)
     counts = wp.empty((len(poses) * runs, 4), dtype=int, device=model.device)
     launch_in_slabs(
