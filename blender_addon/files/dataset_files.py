@@ -1,6 +1,7 @@
 """A dataset of ours: its camera, its poses and its images; and the writing of one that holds a single view."""
 
 import json
+import os
 import shutil
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -8,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import ReconstructionError
-from .json_values import JsonValue, read_json
+from .json_values import JsonValue, is_there, read_json
 from .reconstruction_files import FusedFrame, Intrinsics, Pose, read_intrinsics
 
 METADATA_FILE = "dataset.json"
@@ -34,7 +35,7 @@ def read_posed_frames(folder: Path) -> PosedFrames:
     count = metadata.member("frame_count").integer(at_least=1)
     files = {i: frame_file(folder, i, "pose.txt") for i in range(count)}
     trajectory = tuple(
-        FusedFrame(frame=i, world_from_camera=_read_pose(path)) for i, path in files.items() if path.is_file()
+        FusedFrame(frame=i, world_from_camera=_read_pose(path)) for i, path in files.items() if is_there(path)
     )
     if not trajectory:
         raise ReconstructionError(f"{folder}: none of its {count} frames has a pose yet; {_REMEDY}")
@@ -53,9 +54,9 @@ def frame_file(dataset: Path, frame: int, part: str) -> Path:
 
 
 def color_file(dataset: Path, frame: int) -> Path | None:
-    """Return a frame's colour image, None where it is not there; 7-Scenes keeps its frames in the dataset itself."""
+    """Return a frame's colour image, None where none can be seen; 7-Scenes keeps its frames in the dataset itself."""
     name = frame_file(dataset, frame, "color.png")
-    return next((path for path in (name, dataset / name.name) if path.is_file()), None)
+    return next((path for path in (name, dataset / name.name) if os.path.isfile(path)), None)
 
 
 def write_single_view(
@@ -79,7 +80,7 @@ def write_single_view(
         "provenance": {},
     }
     for image in filter(None, (depth, color)):
-        if not image.is_file():
+        if not is_there(image):
             raise ReconstructionError(f"{image}: the file is missing; choose an image")
     (folder / "frames").mkdir(parents=True)
     shutil.copyfile(depth, frame_file(folder, 0, "depth.png"))

@@ -104,6 +104,23 @@ class JsonValue:
         return matrix
 
 
+def is_there(path: Path) -> bool:
+    """Tell whether a file or a folder is there; raises ReconstructionError where that may not be known."""
+    try:
+        path.stat()
+    except (FileNotFoundError, NotADirectoryError):
+        return False
+    except OSError as error:
+        raise unreadable(path, error) from error
+    return True
+
+
+def unreadable(path: Path, error: OSError) -> ReconstructionError:
+    """Return the error for what is there but cannot be read."""
+    reason = error.strerror or error
+    return ReconstructionError(f"{path}: cannot be read ({reason}); change its permissions, or choose another folder")
+
+
 def read_json(file: Path, *, remedy: str) -> JsonValue:
     """Return the whole value of a JSON file; raises ReconstructionError where it is missing or damaged."""
     try:
@@ -111,7 +128,7 @@ def read_json(file: Path, *, remedy: str) -> JsonValue:
     except FileNotFoundError:
         raise ReconstructionError(f"{file}: the file is missing; {remedy}") from None
     except OSError as error:
-        raise ReconstructionError(f"{file}: cannot be read ({error.strerror or error})") from error
+        raise unreadable(file, error) from error
     except (ValueError, RecursionError) as error:
         raise ReconstructionError(f"{file}: damaged, not JSON ({error}); {remedy}") from error
     return JsonValue(file, "", value, remedy)

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import ReconstructionError
+from .json_values import unreadable
 
 _HEADER_END = re.compile(rb"^end_header\r?\n", re.MULTILINE)
 _REMEDY = "write it again with 'fusion reconstruct'"
@@ -68,7 +69,7 @@ def read_colored_mesh(path: Path) -> ColoredMesh:
     except FileNotFoundError:
         raise ReconstructionError(f"{path}: the file is missing; {_REMEDY}") from None
     except OSError as error:
-        raise ReconstructionError(f"{path}: cannot be read ({error.strerror or error})") from error
+        raise unreadable(path, error) from error
     vertex, face, start = _layout(path, data)
     vertices = np.frombuffer(data, vertex.row, vertex.count, start)
     faces = np.frombuffer(data, face.row, face.count, start + vertices.nbytes)

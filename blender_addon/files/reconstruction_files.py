@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import ReconstructionError
-from .json_values import JsonValue, read_json
+from .json_values import JsonValue, is_there, read_json
 from .ply_mesh import ColoredMesh, read_colored_mesh
 
 RECONSTRUCTION_FILE = "reconstruction.json"
@@ -117,10 +117,10 @@ def read_record(folder: Path) -> Record:
     Raises ReconstructionError naming the file, the value found there and the remedy.
     """
     folder = folder.resolve()
-    if not folder.is_dir():
+    if not is_there(folder):
         raise ReconstructionError(f"{folder}: no such folder; choose the one that 'fusion reconstruct' wrote")
     file = folder / RECONSTRUCTION_FILE
-    if not file.is_file():
+    if not is_there(file):
         raise ReconstructionError(
             f"{folder}: not a reconstruction: it holds no {RECONSTRUCTION_FILE}; "
             "choose the folder that 'fusion reconstruct' wrote"
@@ -166,7 +166,7 @@ def _fused_frame(item: JsonValue) -> FusedFrame:
 
 def _read_located(file: Path) -> dict[str, Any]:
     """Return the frames that were located, and those that were not: they have no pose."""
-    if not file.exists():
+    if not is_there(file):
         return {"located": (), "lost": ()}
     poses = read_json(file, remedy="write it again with 'fusion locate', or delete it")
     located, lost = [], []
