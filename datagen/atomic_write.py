@@ -4,6 +4,7 @@ import contextlib
 import json
 import os
 import tempfile
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,8 @@ from typing import Any
 from datagen.errors import InputError
 
 TEMPORARY_PREFIX = ".unfinished-"
+READER_SECONDS = 2.0
+"""How long a reader may have a file open that is to be replaced; that is in nobody's way but on Windows."""
 
 
 @contextlib.contextmanager
@@ -31,7 +34,7 @@ def replacing(path: Path) -> Iterator[Path]:
         umask = os.umask(0)
         os.umask(umask)
         temporary.chmod(0o666 & ~umask)
-        temporary.replace(path)
+        _take_place(temporary, path)
     except OSError as error:
         raise InputError(
             f"{path}: cannot be written ({error.strerror or error}); check the folder's permissions and free space"
@@ -39,6 +42,20 @@ def replacing(path: Path) -> Iterator[Path]:
     finally:
         if temporary is not None:
             temporary.unlink(missing_ok=True)
+
+
+def _take_place(temporary: Path, path: Path) -> None:
+    """Give ``temporary`` the name ``path``; on Windows it waits for a reader that has the old file open."""
+    end = time.monotonic() + READER_SECONDS
+    while True:
+        try:
+            temporary.replace(path)
+        except PermissionError:
+            if time.monotonic() > end or not path.is_file():
+                raise
+            time.sleep(0.02)
+        else:
+            return
 
 
 def write_bytes(path: Path, data: bytes) -> None:
