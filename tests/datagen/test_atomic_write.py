@@ -9,17 +9,18 @@ from datagen.atomic_write import write_bytes
 from datagen.errors import InputError
 
 
-class _Reader:
-    """A reader that has a file open while it is replaced, as Windows sees it: so many times it refuses."""
+def _refuse(monkeypatch: pytest.MonkeyPatch, times: int) -> list[Path]:
+    """Let files be replaced only after so many refusals, as Windows does while a reader has them open."""
+    tried: list[Path] = []
 
-    def __init__(self, times: int) -> None:
-        self.times, self.tried = times, 0
-
-    def replace(self, source: os.PathLike[str], target: os.PathLike[str]) -> None:
-        self.tried += 1
-        if self.tried <= self.times:
+    def replace(source: Path, target: Path) -> None:
+        tried.append(target)
+        if len(tried) <= times:
             raise PermissionError(13, "Access is denied", str(target))
         os.rename(source, target)
+
+    monkeypatch.setattr("pathlib.Path.replace", replace)
+    return tried
 
 
 @pytest.mark.parametrize("times", [0, 3])
@@ -27,10 +28,9 @@ def test_a_file_is_replaced_once_its_reader_lets_go(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, times: int
 ) -> None:
     (tmp_path / "there").write_bytes(b"old")
-    reader = _Reader(times)
-    monkeypatch.setattr("pathlib.Path.replace", lambda source, target: reader.replace(source, target))
+    tried = _refuse(monkeypatch, times)
     write_bytes(tmp_path / "there", b"new")
-    assert reader.tried == times + 1
+    assert len(tried) == times + 1
     assert [path.name for path in tmp_path.iterdir()] == ["there"]
     assert (tmp_path / "there").read_bytes() == b"new"
 
@@ -39,9 +39,8 @@ def test_a_reader_that_never_lets_go_is_told_and_keeps_the_old_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "there").write_bytes(b"old")
-    reader = _Reader(10**9)
     monkeypatch.setattr("datagen.atomic_write.READER_SECONDS", 0.1)
-    monkeypatch.setattr("pathlib.Path.replace", lambda source, target: reader.replace(source, target))
+    assert not _refuse(monkeypatch, 10**9)
     with pytest.raises(InputError, match="there: cannot be written"):
         write_bytes(tmp_path / "there", b"new")
     assert [path.name for path in tmp_path.iterdir()] == ["there"]
