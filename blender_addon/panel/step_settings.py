@@ -8,6 +8,8 @@ from ..steps.automatic import known_truncation, known_voxel_size
 
 LABEL_SHARE = 0.4
 """Of the width: what Blender's own split gives labels."""
+PLACEHOLDERS = {"folder": "Automatic", "dataset": "The one scanned here", "device": "As in the preferences"}
+"""What an empty setting stands for."""
 
 
 def draw_settings(layout: Any, group: Any, *names: str) -> None:
@@ -16,7 +18,7 @@ def draw_settings(layout: Any, group: Any, *names: str) -> None:
     column.use_property_split = True
     column.use_property_decorate = False
     for name in names:
-        column.prop(group, name)
+        column.prop(group, name, placeholder=PLACEHOLDERS.get(name, ""))
 
 
 def draw_length(layout: Any, group: Any, length: str, automatic: str) -> None:

@@ -11,7 +11,7 @@ from ..errors import ReconstructionError
 from ..files.mesh_arrays import MeshArrays, mesh_arrays
 from ..files.ply_mesh import read_colored_mesh
 from .mesh_import import fill_mesh, object_of
-from .originals import set_hidden
+from .originals import named, set_hidden
 from .scene_collection import LIVE_PART, MESH_PART, PART_KEY, find_collection, parts
 from .scene_units import mesh_in_units
 from .viewport_colors import show_vertex_colors
@@ -101,7 +101,7 @@ class LiveMesh:
         """Return the objects that are where it grows."""
         collection = find_collection(scene, self._folder)
         older = parts(collection, MESH_PART) if collection is not None else []
-        return [*older, *(scene.objects[name] for name in self._originals if name in scene.objects)]
+        return [*older, *named(scene, self._originals)]
 
 
 def remove_live_meshes() -> None:
@@ -110,7 +110,7 @@ def remove_live_meshes() -> None:
     for item in ours:
         aside = json.loads(item.get(ASIDE_KEY, "[]"))
         for scene in item.users_scene:
-            set_hidden(scene, [scene.objects[name] for name in aside if name in scene.objects], hidden=False)
+            set_hidden(scene, named(scene, aside), hidden=False)
     data = {item.data for item in ours}
     materials = {material for mesh in data for material in mesh.materials if material is not None}
     bpy.data.batch_remove(ours)

@@ -1,12 +1,12 @@
 """What was scanned, in the same place as its reconstruction: one of both is hidden, or they would flicker."""
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import bpy
 
 from .scene_collection import MESH_PART, is_ours, parts
-from .view_layers import is_in, layers_shown
+from .view_layers import layers_shown, objects_in
 
 ORIGINALS_KEY = "scanback_originals"
 """Custom property of a reconstruction's collection: the names of the objects that were scanned, as JSON."""
@@ -21,8 +21,13 @@ def note_originals(collection: bpy.types.Collection, names: Iterable[str]) -> No
 
 def originals_of(scene: bpy.types.Scene, collection: bpy.types.Collection) -> list[bpy.types.Object]:
     """Return those objects of the scene that the reconstruction ``collection`` was made of."""
-    found = (scene.objects.get(name) for name in _names(collection))
-    return [item for item in found if item is not None and not is_ours(item)]
+    return [item for item in named(scene, _names(collection)) if not is_ours(item)]
+
+
+def named(scene: bpy.types.Scene, names: Iterable[str]) -> list[bpy.types.Object]:
+    """Return the objects of a scene that have one of ``names``."""
+    wanted = set(names)
+    return [item for item in scene.objects if item.name in wanted] if wanted else []
 
 
 def show_sides(
@@ -33,20 +38,24 @@ def show_sides(
     set_hidden(scene, parts(collection, MESH_PART), hidden=not reconstruction)
 
 
-def is_shown(scene: bpy.types.Scene, items: Iterable[bpy.types.Object]) -> bool:
+def is_shown(scene: bpy.types.Scene, items: Sequence[bpy.types.Object]) -> bool:
     """Tell whether a viewport shows any of ``items``."""
-    layers = layers_shown(scene)
-    return any(is_in(item, layer) and item.visible_get(view_layer=layer) for item in items for layer in layers)
-
-
-def set_hidden(scene: bpy.types.Scene, items: Iterable[bpy.types.Object], *, hidden: bool) -> list[bpy.types.Object]:
-    """Close or open the eyes that objects have in the outliner; returns those for which that was a change."""
-    changed, chosen = {}, list(items)
     for layer in layers_shown(scene):
-        for item in chosen:
-            if is_in(item, layer) and item.hide_get(view_layer=layer) != hidden:
-                item.hide_set(hidden, view_layer=layer)
-                changed[item.name] = item
+        held = objects_in(layer)
+        if any(item in held and item.visible_get(view_layer=layer) for item in items):
+            return True
+    return False
+
+
+def set_hidden(scene: bpy.types.Scene, items: Sequence[bpy.types.Object], *, hidden: bool) -> list[bpy.types.Object]:
+    """Close or open the eyes that objects have in the outliner; returns those for which that was a change."""
+    changed = {}
+    for layer in layers_shown(scene):
+        held = objects_in(layer)
+        # All are asked before the first is changed: Blender brings the layer's list up to date after each change.
+        for item in [item for item in items if item in held and item.hide_get(view_layer=layer) != hidden]:
+            item.hide_set(hidden, view_layer=layer)
+            changed[item.name] = item
     return list(changed.values())
 
 

@@ -3,10 +3,11 @@
 import bpy
 
 
-def is_in(item: bpy.types.Object, layer: bpy.types.ViewLayer) -> bool:
-    """Tell whether a view layer holds an object."""
-    item.hide_get(view_layer=layer)  # a layer's own list is behind what was linked until it is asked for something
-    return bool(layer.objects.get(item.name) == item)
+def objects_in(layer: bpy.types.ViewLayer) -> set[bpy.types.Object]:
+    """Return the objects that a view layer holds; one look at all, where looking each up would take the square."""
+    for item in layer.id_data.objects[:1]:
+        item.hide_get(view_layer=layer)  # a layer's list is behind what was linked until somebody asks for that
+    return set(layer.objects)
 
 
 def layers_shown(scene: bpy.types.Scene) -> list[bpy.types.ViewLayer]:

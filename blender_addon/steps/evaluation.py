@@ -6,7 +6,7 @@ from typing import Any
 
 import bpy
 
-from ..results.view_layers import is_in
+from ..results.view_layers import objects_in
 
 
 @contextlib.contextmanager
@@ -16,7 +16,8 @@ def evaluated_as_shown(items: Iterable[bpy.types.Object]) -> Iterator[bpy.types.
     What is excluded from the view layer stays out of it.
     """
     layer = bpy.context.view_layer
-    there = [item for item in items if is_in(item, layer)]
+    held = objects_in(layer)
+    there = [item for item in items if item in held]
     closed = [item for item in there if item.hide_get(view_layer=layer)]
     switches: list[Any] = [item for item in there if item.library is None]
     for place in _above(layer.layer_collection, there):
