@@ -133,6 +133,8 @@ class SCANBACK_PT_scan(_StepPanel, bpy.types.Panel):  # type: ignore[misc]  # no
         if not status.is_scanned:
             self.layout.label(text=f"{status.frames} of {status.frame_count or '?'} frames are there")
             self.draw_button(context, SCANBACK_OT_resume_scan, reasons.why_no_job(), icon="PLAY")
+            if runner.current_job() is not None:
+                return  # one grey button says why
         else:
             row = self.layout.row()
             row.label(text=f"{status.frames} frames", icon="CHECKMARK")
