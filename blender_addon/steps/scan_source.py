@@ -242,6 +242,7 @@ def _scene_of(scene: bpy.types.Scene, family: list[bpy.types.Object] | None) -> 
         alone.unit_settings.system = scene.unit_settings.system
         alone.unit_settings.scale_length = scene.unit_settings.scale_length
         alone.render.fps, alone.render.fps_base = scene.render.fps, scene.render.fps_base
+        alone.view_layers[0].update()  # Blender 5.2 crashes as it writes a scene that was never evaluated
         yield alone
     finally:
         bpy.data.scenes.remove(alone)
