@@ -11,6 +11,7 @@ from rich.table import Table
 from datagen.errors import InputError
 from datagen.progress import on_terminal
 from fusion.commands.arguments import add_device, add_json, print_json
+from fusion.pose_benchmark.object_box import ObjectBox
 from fusion.pose_benchmark.protocol import TRIAL_NAMES, parse_trials
 from fusion.pose_benchmark.subjects import Kind
 from fusion.pose_benchmark.summary import Row, rows_as_json
@@ -39,6 +40,13 @@ def add_command(commands: Any) -> None:
         "--frames", metavar="START:STOP:STEP", help="a Python slice over the frames that are not fused; all by default"
     )
     command.add_argument("--voxel-size", type=float, metavar="M", help="metres; from the data if not given")
+    command.add_argument(
+        "--box",
+        type=float,
+        nargs=6,
+        metavar=("X", "Y", "Z", "X", "Y", "Z"),
+        help="where in the world the object is, its low and its high corner, metres: all else is masked",
+    )
     command.add_argument("--seed", type=int, default=0, help="of starts, noise and occluders (default: %(default)s)")
     add_device(command)
     add_json(command)
@@ -62,6 +70,7 @@ def _run(options: argparse.Namespace) -> None:
         fuse=options.fuse,
         frames=options.frames,
         voxel_size=options.voxel_size,
+        box=None if options.box is None else ObjectBox(low=tuple(options.box[:3]), high=tuple(options.box[3:])),
         seed=options.seed,
         device=options.device,
     )

@@ -66,7 +66,7 @@ def turns_within(most_deg: float, *, apart_deg: float) -> NDArray[np.float64]:
     vectors = side * np.concatenate([corners, corners + 0.5])
     lengths = np.linalg.norm(vectors, axis=1)
     # Those just outside cover what is just inside: they are drawn in to the largest angle.
-    near = vectors[lengths < most_deg + apart_deg / 4]
+    near = vectors[lengths < most_deg + apart_deg / 3]
     near *= np.minimum(1, most_deg / np.maximum(np.linalg.norm(near, axis=1), 1e-12))[:, None]
     twists = np.zeros((len(near), 6))
     twists[:, 3:] = np.radians(near)

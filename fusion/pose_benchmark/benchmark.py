@@ -12,9 +12,10 @@ from datagen.progress import ProgressReporter, silent
 from fusion.devices import Device, resolve_device
 from fusion.pose_benchmark.case_files import CaseResult, case_file, errors_as_json, read_case, write_case
 from fusion.pose_benchmark.histograms import error_histograms
+from fusion.pose_benchmark.object_box import ObjectBox
 from fusion.pose_benchmark.overlays import Overlay, overlays
 from fusion.pose_benchmark.page import Section, render_page
-from fusion.pose_benchmark.protocol import Trial, chosen_trials, trials_of
+from fusion.pose_benchmark.protocol import Trial, trials_for
 from fusion.pose_benchmark.run_case import run_case
 from fusion.pose_benchmark.scanned_subject import scanned_subject
 from fusion.pose_benchmark.subjects import Kind, Subject
@@ -34,7 +35,7 @@ class BenchmarkConfig:
 
     ``protocol`` is the kind of all datasets, None to tell it from each. ``fuse`` takes the frames that are fused,
     ``frames`` those of the others that are located: START:STOP:STEP, None for the protocol's own. ``trials`` are names
-    of trials, None for all.
+    of trials, None for all. ``box`` is where the object is, where datasets show more.
     """
 
     protocol: Kind | None = None
@@ -42,6 +43,7 @@ class BenchmarkConfig:
     fuse: str | None = None
     frames: str | None = None
     voxel_size: float | None = None
+    box: ObjectBox | None = None
     seed: int = 0
     device: str = "auto"
 
@@ -98,6 +100,7 @@ def _subjects(
         kind=kind,
         fuse=config.fuse,
         voxel_size=config.voxel_size,
+        box=config.box,
         device=device,
         progress=progress,
     )
@@ -109,7 +112,7 @@ def _section(
 ) -> tuple[Section | None, list[CaseResult]]:
     """Run a subject's trials, and make its part of the page; None where none of them was chosen."""
     width = subject.view(subject.queries[0]).camera.width
-    trials = chosen_trials(trials_of(subject.kind, width_px=width), config.trials)
+    trials = trials_for(subject, config.trials, width_px=width)
     if not trials:
         return None, []
     frames = select_frames(subject.queries, config.frames)

@@ -21,7 +21,7 @@ from fusion.pose_benchmark.measures import (
     within_bounds,
 )
 from fusion.pose_benchmark.perturbations import Perturbation
-from fusion.pose_benchmark.subjects import Kind
+from fusion.pose_benchmark.subjects import Kind, Subject
 from fusion.pose_benchmark.views import Noise
 
 STARTS_A_FRAME = 4
@@ -182,6 +182,15 @@ def _points_trials(width_px: int) -> tuple[Trial, ...]:
 def chosen_trials(trials: tuple[Trial, ...], names: tuple[str, ...] | None) -> tuple[Trial, ...]:
     """Return the trials that are named, all where ``names`` is None."""
     return tuple(trial for trial in trials if names is None or trial.name in names)
+
+
+def trials_for(subject: Subject, names: tuple[str, ...] | None, *, width_px: int) -> tuple[Trial, ...]:
+    """Return the trials of a subject that are named, all where ``names`` is None, but for those that it cannot have.
+
+    A mask alone tells nothing where all views are full of the model.
+    """
+    trials = chosen_trials(trials_of(subject.kind, width_px=width_px), names)
+    return tuple(trial for trial in trials if trial.sees != "mask" or subject.has_outline)
 
 
 TRIAL_NAMES: tuple[str, ...] = tuple(

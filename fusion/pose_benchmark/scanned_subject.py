@@ -2,7 +2,8 @@
 
 import hashlib
 import json
-from dataclasses import asdict, replace
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,13 +14,14 @@ from datagen.dataset import Dataset
 from datagen.errors import InputError
 from datagen.frame_selection import select_frames
 from datagen.progress import ProgressReporter, silent
-from datagen.rigid import rigid
+from datagen.rigid import Matrix, rigid
 from fusion.devices import Device
 from fusion.evaluation.pose_errors import ModelPoints
 from fusion.evaluation.symmetries import symmetry_transforms
 from fusion.pose.pose_model import PoseModel, prepare_model
 from fusion.pose.reference_frame import ReferenceFrame
 from fusion.pose.view_index import index_views
+from fusion.pose_benchmark.object_box import ObjectBox
 from fusion.pose_benchmark.subjects import Fused, Kind, Subject
 from fusion.pose_benchmark.views import View
 from fusion.reconstruct import reconstruct
@@ -36,11 +38,16 @@ from fusion.reconstruction_files import (
 from fusion.surface.mesh import Mesh
 from fusion.surface.mesh_files import read_mesh
 from fusion.volume.volume_file import load_volume
+from fusion.volume.volume_operations import crop
 
 OBJECT_HOLDS_OUT = "2::5"
 ROOM_FUSES = "::10"
 MODEL_POINTS = 5000
 """Of the true surface, equally many for equal area."""
+_POINTS_TO_CHOOSE_FROM = 20 * MODEL_POINTS
+BOX_SUFFIX = "-in-box"
+_LOOKED_AT, _LEAST_BESIDE = 5, 0.01
+"""Frames, and the share of an image that is not of the model."""
 
 
 def scanned_subject(
@@ -50,13 +57,15 @@ def scanned_subject(
     kind: Kind,
     fuse: str | None,
     voxel_size: float | None,
+    box: ObjectBox | None = None,
     device: Device,
     progress: ProgressReporter = silent,
 ) -> Subject:
     """Fuse some of a dataset's frames into ``folder``, or read what lies there of them, and hold out the others.
 
-    ``fuse`` is START:STOP:STEP; without it all frames but every fifth of an object, every tenth of a room. Raises
-    InputError where no frame is left to locate, and for everything that a reconstruction refuses.
+    ``fuse`` is START:STOP:STEP; without it all frames but every fifth of an object, every tenth of a room. What lies in
+    a ``box`` is the object: the model is cropped to it, and a view's mask is what its true pose and depth show of it.
+    Raises InputError where no frame is left to locate, and for everything that a reconstruction refuses.
     """
     fused_frames = _fused_frames(dataset, kind, fuse)
     held_out = tuple(i for i in dataset.frame_ids if i not in set(fused_frames))
@@ -64,16 +73,19 @@ def scanned_subject(
         raise InputError(f"{dataset.folder}: all of its frames are fused, none is left to locate; fuse fewer")
     dataset.require(dataset.frame_ids)
     record = _reconstruction(dataset, folder, fused_frames, voxel_size, device, progress)
-    model = prepare_model(load_volume(folder / VOLUME_FILE, device=device))
+    volume = load_volume(folder / VOLUME_FILE, device=device)
+    model = prepare_model(volume if box is None else crop(volume, box.low, box.high))
+    views = _Views(dataset=dataset, box=box)
     return Subject(
-        name=dataset.folder.resolve().name,
+        name=dataset.folder.resolve().name + ("" if box is None else BOX_SUFFIX),
         kind=kind,
         model=model,
-        points=ModelPoints(points=_true_points(dataset, model), symmetries=symmetry_transforms()),
+        points=ModelPoints(points=_true_points(dataset, model, box), symmetries=symmetry_transforms()),
         queries=held_out,
-        view=lambda frame: _view(dataset, frame),
-        fused=_fused(dataset, record, model, device),
-        identity=_identity(record),
+        view=views.view,
+        fused=_fused(views, record, model, device),
+        identity=_identity(record, box),
+        has_outline=views.show_an_outline(held_out),
     )
 
 
@@ -120,44 +132,69 @@ def _kept(
     return record if same else None
 
 
-def _identity(record: ReconstructionRecord) -> str:
+def _identity(record: ReconstructionRecord, box: ObjectBox | None) -> str:
     """Return a digest of what the model was made of; its times are not part of it."""
     told = record.model_dump(mode="json", include={"trajectory", "voxel_size_m", "truncation_m", "config", "versions"})
+    if box is not None:
+        told["box"] = asdict(box)
     return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:16]
 
 
-def _fused(dataset: Dataset, record: ReconstructionRecord, model: PoseModel, device: Device) -> Fused:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Views:
+    """A dataset's frames, with masks of what lies in the box if there is one."""
+
+    dataset: Dataset
+    box: ObjectBox | None
+
+    def mask(self, frame: int, world_from_camera: Matrix) -> NDArray[np.bool_] | None:
+        if self.box is None:
+            return None
+        return self.box.mask(self.dataset.depth(frame), self.dataset.camera, world_from_camera)
+
+    def view(self, frame: int) -> View:
+        pose = self.dataset.world_from_camera(frame)
+        return View(
+            camera=self.dataset.camera,
+            color=self.dataset.color(frame),
+            depth=self.dataset.depth(frame),
+            mask=self.mask(frame, pose),
+            world_from_camera=pose,
+        )
+
+    def reference(self, frame: int, world_from_camera: Matrix) -> ReferenceFrame:
+        depth, mask = self.dataset.depth(frame), self.mask(frame, world_from_camera)
+        return ReferenceFrame(
+            camera=self.dataset.camera,
+            color=self.dataset.color(frame),
+            depth=depth if mask is None else np.where(mask, depth, np.float32(0)),
+            world_from_camera=world_from_camera,
+        )
+
+    def show_an_outline(self, frames: Sequence[int]) -> bool:
+        """Tell whether any of some frames has pixels that are not of the model: else there is no outline to see."""
+        some = frames[:: max(len(frames) // _LOOKED_AT, 1)]
+        return any((~self.view(frame).seen).mean() > _LEAST_BESIDE for frame in some)
+
+
+def _fused(views: _Views, record: ReconstructionRecord, model: PoseModel, device: Device) -> Fused:
     poses = {
         frame.frame: rigid(frame.world_from_camera, source=f"{RECORD_FILE}: frame {frame.frame}")
         for frame in record.trajectory
     }
-
-    def reference(frame: int) -> ReferenceFrame:
-        return ReferenceFrame(
-            camera=dataset.camera,
-            color=dataset.color(frame),
-            depth=dataset.depth(frame),
-            world_from_camera=poses[frame],
-        )
-
-    index = index_views(model.mesh, list(poses.values()), dataset.camera, device=device)
-    return Fused(poses=poses, index=index, reference=reference)
+    index = index_views(model.mesh, list(poses.values()), views.dataset.camera, device=device)
+    return Fused(poses=poses, index=index, reference=lambda frame: views.reference(frame, poses[frame]))
 
 
-def _view(dataset: Dataset, frame: int) -> View:
-    return View(
-        camera=dataset.camera,
-        color=dataset.color(frame),
-        depth=dataset.depth(frame),
-        mask=None,
-        world_from_camera=dataset.world_from_camera(frame),
-    )
-
-
-def _true_points(dataset: Dataset, model: PoseModel) -> NDArray[np.float64]:
+def _true_points(dataset: Dataset, model: PoseModel, box: ObjectBox | None) -> NDArray[np.float64]:
     """Return points of the true surface, of the fused one where the truth is not known."""
-    mesh = model.mesh if dataset.ground_truth_mesh is None else read_mesh(dataset.ground_truth_mesh)
-    return surface_sample(mesh, MODEL_POINTS)
+    if dataset.ground_truth_mesh is None:
+        return surface_sample(model.mesh, MODEL_POINTS)
+    truth = read_mesh(dataset.ground_truth_mesh)
+    if box is None:
+        return surface_sample(truth, MODEL_POINTS)
+    points = surface_sample(truth, _POINTS_TO_CHOOSE_FROM)
+    return points[box.holds(points)][:MODEL_POINTS]
 
 
 def surface_sample(mesh: Mesh, count: int) -> NDArray[np.float64]:

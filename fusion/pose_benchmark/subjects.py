@@ -38,7 +38,8 @@ class Subject:
 
     ``points`` is the true shape in the model's frame, the world's; ``queries`` are the frames to locate, which ``view``
     reads. ``revolution_axis`` (3,) is that of a body which looks the same turned about it, as far as depth tells.
-    ``identity`` tells this model from another one of the same name, for results that are kept.
+    ``has_outline`` is False where the views are full of the model, so that a mask of it tells nothing. ``identity``
+    tells this model from another one of the same name, for results that are kept.
     """
 
     name: str
@@ -49,6 +50,7 @@ class Subject:
     view: Callable[[int], View]
     fused: Fused | None
     identity: str
+    has_outline: bool = True
     revolution_axis: tuple[float, float, float] | None = None
 
     @property

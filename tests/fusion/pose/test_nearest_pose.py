@@ -105,9 +105,31 @@ def test_an_object_that_looks_alike_from_two_sides_is_said_to(device):
     mesh = Mesh(vertices=np.asarray(box.vertices, np.float32), triangles=np.asarray(box.faces, np.int32))
     poses = poses_on_a_circle(24)
     index = index_views(mesh, poses, CAMERA, device=device)
-    nearest = find_nearest_pose(index, seen_from(mesh, look_at((0.9, 0.5, 0.7), (0, 0, 0)), device))
+    pose = look_at((0.9, 0.5, 0.7), (0, 0, 0))
+    nearest = find_nearest_pose(index, seen_from(mesh, pose, device))
     assert nearest.ambiguous
     assert nearest.margin < 0.1
+    # Half a turn about the vertical leaves the box as it is: both poses are handed on.
+    half_a_turn = np.diag([-1.0, -1.0, 1.0, 1.0])
+    found = np.stack([nearest.estimate, *nearest.others])
+    for truth in (pose, half_a_turn @ pose):
+        assert pose_distances(found, truth, depth=1.2).min() < 0.01
+
+
+def test_a_query_between_views_far_apart_that_something_hides_in_part_is_found(device, surface):
+    poses = poses_on_a_circle(120)
+    index = index_views(surface, poses[::20], CAMERA, device=device)  # 60° from each to the next
+    for query in range(5, 120, 23):
+        depth = seen_from(surface, poses[query], device)
+        columns = np.nonzero((depth > 0).any(axis=0))[0]
+        mask = np.ones(depth.shape, bool)
+        mask[:, : columns[0] + (columns[-1] - columns[0]) * 3 // 10] = False
+        nearest = find_nearest_pose(index, np.where(mask, depth, np.float32(0.3)), mask=mask & (depth > 0))
+        distances = pose_distances(index.world_from_camera, poses[query], depth=1.2)
+        assert nearest.index == distances.argmin()
+        rotation_deg, translation_m = pose_error(nearest.estimate, poses[query])
+        assert rotation_deg < 1
+        assert translation_m < 0.02
 
 
 def test_distances_between_poses_are_angles_and_shifts_at_depth():
