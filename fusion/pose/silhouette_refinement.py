@@ -108,9 +108,13 @@ class _Problem:
 
 def _robust(residuals: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return weights and costs (k, n): by Geman and McClure's kernel an edge that is off by more than σ counts less."""
-    scale = np.maximum(0.4, 2 * np.sqrt(np.mean(residuals**2, axis=1, keepdims=True)))
+    scale = _scales(residuals)
     share = (residuals / scale) ** 2
     return 1 / (1 + share) ** 2, 0.5 * scale**2 * share / (1 + share)
+
+
+def _scales(residuals: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.maximum(0.4, 2 * np.sqrt(np.mean(residuals**2, axis=1, keepdims=True)))
 
 
 def refine_with_silhouette(
@@ -249,6 +253,7 @@ def _uncertainty(problem: _Problem, level: Level, seen: SoftSilhouette) -> Uncer
     """Return how well an outline fixes the pose; what tells of the same piece of the outline errs alike."""
     assert seen.jacobian is not None
     residuals = seen.coverage - level.target
+    share = ((residuals / _scales(residuals)) ** 2)[0]
     side = max(float(np.sqrt(np.prod(np.ptp(level.pixels, axis=0) + 1))) / _CLUSTERS_ACROSS, 1.0)
     cells = np.floor((level.pixels - level.pixels.min(axis=0)) / side).astype(np.int64)
     return clustered_uncertainty(
@@ -258,4 +263,5 @@ def _uncertainty(problem: _Problem, level: Level, seen: SoftSilhouette) -> Uncer
         cells @ np.array([1, 10_000]),
         pivot_world=problem.pivot_world,
         radius_m=problem.radius,
+        bends=(1 - 3 * share) / (1 + share) ** 3,
     )

@@ -85,23 +85,27 @@ def clustered_uncertainty(
     *,
     pivot_world: NDArray[np.float64],
     radius_m: float,
+    bends: NDArray[np.float64] | None = None,
 ) -> Uncertainty:
     """Return the uncertainty that residuals show which are alike within clusters, as neighbouring pixels' are.
 
-    ``jacobian`` (n, 6) by the twist, ``residuals`` (n,) metres, ``weights`` (n,) robust, ``clusters`` (n,) the number
-    of each one's cluster. Covariance = H⁻¹ (Σ gᵢ gᵢᵀ) H⁻¹ · m / (m − 1), with gᵢ = Σ w r J over cluster i of m (White
-    1980; Liang and Zeger 1986): errors that a cluster shares do not average out as noise of single pixels does.
+    ``jacobian`` (n, 6) by the twist, ``residuals`` (n,) in its unit, ``weights`` (n,) robust, ``clusters`` (n,) the
+    number of each one's cluster. Covariance = H⁻¹ (Σ gᵢ gᵢᵀ) H⁻¹ · m / (m − 6), with gᵢ = Σ w r J over cluster i of m
+    (White 1980; Liang and Zeger 1986): errors that a cluster shares do not average out as noise of single pixels does,
+    and six parameters fit m clusters better than the truth does. H is Σ b J Jᵀ, ``bends`` (n,) the derivatives b of
+    w r by r (Huber 1964): less than the weights, which stand for them where they are not given, the more of an outlier
+    a residual is.
     """
     scale = np.array([1, 1, 1, 1 / radius_m, 1 / radius_m, 1 / radius_m])
     scaled = jacobian * scale
-    hessian = (weights[:, None] * scaled).T @ scaled
+    hessian = ((weights if bends is None else bends)[:, None] * scaled).T @ scaled
     values, vectors = np.linalg.eigh(hessian)
     back = (vectors / np.maximum(values, 1e-12 * max(values[-1], 1e-300))) @ vectors.T
     _numbers, cluster = np.unique(clusters, return_inverse=True)
     count = int(cluster.max()) + 1
     slopes = np.zeros((count, 6))
     np.add.at(slopes, cluster, (weights * residuals)[:, None] * scaled)
-    covariance = back @ (slopes.T @ slopes) @ back * (count / max(count - 1, 1))
+    covariance = back @ (slopes.T @ slopes) @ back * (count / max(count - 6, 1))
     # Noise of single pixels alone is the least that it can be, where clusters are few.
     alone = float((weights * residuals**2).sum() / weights.sum()) * back
     spread, directions = np.linalg.eigh(0.5 * (covariance + covariance.T) + alone)

@@ -46,8 +46,11 @@ def test_the_field_is_the_distance_and_its_slope_near_the_surface_and_far_from_i
     found, _normals, sources = model.sample(far)
     assert (sources == FROM_GRID).mean() > 0.97  # the rest lies where the distance has no slope
     known = sources == FROM_GRID
-    assert np.abs(found[known] - distances(far)[known]).max() < model.grid.spacing
-    assert np.median(np.abs(found[known] - distances(far)[known])) < 0.15 * model.grid.spacing
+    # A node takes the closest point that the nearest node beside the surface has. Those lie up to a spacing farther out
+    # in one place than in another, and a node that is so much nearer, to the side, is taken instead: no worse than that.
+    off = np.abs(found[known] - distances(far)[known]) / model.grid.spacing
+    assert off.max() < 1
+    assert np.median(off) < 0.15
 
 
 def test_a_point_off_the_grid_has_no_field(model):

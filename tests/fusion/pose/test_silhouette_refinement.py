@@ -1,8 +1,9 @@
 from functools import lru_cache
 
+import cv2
 import numpy as np
 import pytest
-from boxes import POSES, box_model, see_boxes
+from boxes import POSES, VOXEL, box_model, see_boxes
 from scipy.ndimage import gaussian_filter
 from three_balls import CAMERA, twist
 
@@ -53,14 +54,19 @@ def test_the_silhouette_is_sharp_at_the_outline_and_as_far_from_it_as_pixels_are
         seen = views.render(pose[None], with_jacobian=False)
         inside = see_boxes(pose, model.device) > 0
         edge = seen.edge_px.reshape(inside.shape)
-        # A pixel is inside where its centre's ray meets the shape; edges are rounded by a share of a voxel, 0.4 px.
+        # A pixel is inside where its centre's ray meets the shape. Interpolation rounds a right edge by at most a
+        # quarter of a voxel along each axis, across it 0.35 voxels: 0.2 px of the nearest parts, 0.6 m away.
+        rounded_px = 0.35 * VOXEL * CAMERA.fx / 0.6
         wrong = (edge < 0) != inside
-        # One that is just within is told of by one beside, up to a pixel away.
-        assert np.abs(edge[wrong & inside]).max(initial=0) < 0.25
-        assert np.abs(edge[wrong & ~inside]).max(initial=0) < 1
-        assert wrong.sum() < 0.1 * (np.abs(edge) < 1).sum()
+        assert edge[wrong & inside].max(initial=0) < rounded_px + 0.05
+        # One within is told of by one beside, whose piece of the edge goes on straight for up to a pixel.
+        assert -edge[wrong & ~inside].min(initial=0) < 1
+        # So of the strip from one pixel within to one without, no larger part can be wrong.
+        assert wrong.sum() < rounded_px / 2 * (np.abs(edge) < 1).sum()
         blurred = gaussian_filter(inside.astype(float), 1.0)
-        assert np.abs(seen.coverage.reshape(inside.shape) - blurred).mean() < 0.01
+        # Whole pixels have the edge wrong by 0.29 px, and coverage changes by 0.4 a pixel; it does so near edges alone.
+        near = (blurred > 0.005) & (blurred < 0.995)
+        assert np.abs(seen.coverage.reshape(inside.shape) - blurred).mean() < 0.29 * 0.4 * near.mean()
 
 
 @pytest.mark.parametrize("softness_px", [1.0, 3.0])
@@ -124,7 +130,9 @@ def test_a_mask_alone_locates_the_view(model, turn_deg, shift):
         found = refine_with_silhouette(model, Query(camera=CAMERA, mask=see_boxes(truth, model.device) > 0), start)
         angle, distance = errors(found.world_from_camera, truth)
         assert angle < 0.5
-        assert distance < 4e-3  # a fifth of a pixel of the outline is 3 mm of depth here
+        # Some 250 whole pixels have the outline, 32 of them from its middle, to 0.29/√250 px: 0.5 mm of depth, and
+        # where turning and shifting look alike some times that.
+        assert distance < 4e-3
         assert found.overlap > 0.93
         assert found.residual < 0.5
 
@@ -148,8 +156,34 @@ def test_an_outline_that_is_partly_hidden_does_not_carry_the_pose_away(model):
     options = SilhouetteRefinementOptions(starts="one")
     found = refine_with_silhouette(model, Query(camera=CAMERA, mask=mask), start, options=options)
     angle, distance = errors(found.world_from_camera, truth)
-    assert angle < 2
+    # What is asked of views of which up to 30 % are hidden.
+    assert angle < 1
     assert distance < 0.01
+
+
+def test_the_spread_of_poses_under_wavy_outlines_is_that_of_the_covariance(model):
+    truth = POSES[0]
+    mask = see_boxes(truth, model.device) > 0
+    exact = refine_with_silhouette(model, Query(camera=CAMERA, mask=mask), truth).world_from_camera
+    v, u = np.mgrid[: CAMERA.height, : CAMERA.width].astype(np.float32)
+    squares = []
+    for seed in range(20):
+        # Displaced by 0.4 pixels, along five pixels of the outline alike: 1.5 √2 pixels of deviation.
+        waves = np.random.default_rng(seed).standard_normal((2, *mask.shape))
+        waves = np.stack([gaussian_filter(wave, 1.5) for wave in waves])
+        waves = (0.4 * waves / waves.std()).astype(np.float32)
+        wavy = cv2.remap(mask.astype(np.uint8), u + waves[0], v + waves[1], cv2.INTER_NEAREST) > 0
+        found = refine_with_silhouette(model, Query(camera=CAMERA, mask=wavy), truth)
+        known = found.uncertainty
+        middle = np.eye(4)
+        middle[:3, 3] = known.pivot_world
+        moved = inverse(middle) @ exact @ inverse(found.world_from_camera) @ middle
+        small = np.concatenate([moved[:3, 3], [moved[2, 1], moved[0, 2], moved[1, 0]]])
+        squares.append(small @ np.linalg.solve(known.covariance, small))
+    # Chi squared with six degrees of freedom has the mean 6. Taken for independent, pixels would make it some 100:
+    # a piece of the outline five pixels long, and as many across it, would count as 25. Of a covariance that some 20
+    # clusters tell, the mean is 6 · 19/(20 − 6 − 2) (Hotelling 1931), and its own spread over 20 draws is a third.
+    assert 3 < np.mean(squares) < 18
 
 
 def test_without_an_outline_it_declines_with_the_reason(model):
