@@ -11,7 +11,7 @@ from .shown_collection import find_shown, shown_collection
 
 SIDES = (
     ("ORIGINAL", "Original", "Show what was scanned and hide its reconstruction"),
-    ("RECONSTRUCTION", "Reconstruction", "Show the reconstruction and hide what was scanned"),
+    ("RECONSTRUCTION", "Mesh", "Show the reconstruction and hide what was scanned"),
     ("BOTH", "Both", "Show both; where they coincide, they flicker"),
 )
 

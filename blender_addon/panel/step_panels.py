@@ -26,7 +26,7 @@ from ..steps.estimate import VOXELS_PER_TRUNCATION, known_estimate
 from ..steps.fuse_source import dataset_of
 from ..steps.status import status_of
 from .log_tail import last_lines, worth_showing
-from .step_settings import automatic_truncation, automatic_voxel_size, draw_length, draw_settings
+from .step_settings import automatic_limit, automatic_truncation, automatic_voxel_size, draw_length, draw_settings
 from .wrapped_text import BOX_EDGE, draw_wrapped, wrapped
 
 LOG_LINES_SHOWN = 4
@@ -208,12 +208,14 @@ class SCANBACK_PT_compare(_StepPanel, bpy.types.Panel):  # type: ignore[misc]  #
             column = self.layout.column()
             column.use_property_split = True
             column.prop_search(settings, "object_name", context.scene, "objects")
-        draw_length(self.layout, settings, "compare.limit", "95 % of them")
-        self.draw_button(context, SCANBACK_OT_compare, reasons.why_not_compare(context), icon="COLOR")
         collection = find_shown(context)
-        for item in parts(collection, MESH_PART) if collection is not None else []:
-            if has_errors(item):
-                self._draw_numbers(context, item)
+        meshes = parts(collection, MESH_PART) if collection is not None else []
+        compared = [item for item in meshes if has_errors(item)]
+        limit_m = compared[0][NUMBERS_KEY]["limit_m"] if compared else None
+        draw_length(self.layout, settings, "compare.limit", automatic_limit(context.scene, limit_m))
+        self.draw_button(context, SCANBACK_OT_compare, reasons.why_not_compare(context), icon="COLOR")
+        for item in compared:
+            self._draw_numbers(context, item)
 
     def _draw_numbers(self, context: Any, item: Any) -> None:
         numbers = item[NUMBERS_KEY]
@@ -234,9 +236,8 @@ class SCANBACK_PT_compare(_StepPanel, bpy.types.Panel):  # type: ignore[misc]  #
                 split.label(text=length_text(context.scene, numbers[name]))
         if "fscore" in numbers:
             split = column.split(factor=0.55)
-            split.label(text="F-score")
-            within = length_text(context.scene, numbers["fscore_threshold_m"])
-            split.label(text=f"{100 * numbers['fscore']:.2f} % within {within}")
+            split.label(text=f"F-score at {length_text(context.scene, numbers['fscore_threshold_m'])}")
+            split.label(text=f"{100 * numbers['fscore']:.2f} %")
 
 
 CLASSES = (SCANBACK_PT_job, SCANBACK_PT_scan, SCANBACK_PT_fuse, SCANBACK_PT_locate, SCANBACK_PT_compare)

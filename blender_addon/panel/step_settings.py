@@ -48,5 +48,10 @@ def automatic_truncation(scene: Any) -> str:
     return _automatic(scene, known_truncation(scene))
 
 
+def automatic_limit(scene: Any, limit_m: float | None) -> str:
+    """Say from which distance on errors have the last color; ``limit_m`` is that of the errors that are shown."""
+    return "Automatic" if limit_m is None else f"Auto, {length_text(scene, limit_m)}"
+
+
 def _automatic(scene: Any, length: float | None) -> str:
     return "Automatic" if length is None else f"Auto, {length_text(scene, length * metres_per_unit(scene))}"

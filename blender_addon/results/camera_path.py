@@ -7,7 +7,7 @@ import numpy as np
 
 from ..files.reconstruction_files import FusedFrame
 from .emission_material import colored_wire
-from .wire_curve import create_wire
+from .wire_curve import create_wire, render_as_tubes
 
 PATH_COLOR_LINEAR = (0.01, 0.16, 0.55)
 
@@ -18,7 +18,6 @@ def create_path_object(name: str, trajectory: Sequence[FusedFrame], *, radius_m:
     One curve stays light whatever the number of frames, where an object for each would slow Blender down.
     """
     positions_world = np.array([frame.world_from_camera[:3, 3] for frame in trajectory])
-    material = colored_wire(name, PATH_COLOR_LINEAR)
-    path = bpy.data.objects.new(name, create_wire(name, [positions_world], radius_m=radius_m, material=material))
-    path.display_type = "WIRE"  # in Solid shading a camera on the path would see the inside of its tube
+    path = bpy.data.objects.new(name, create_wire(name, [positions_world]))
+    render_as_tubes(path, radius=radius_m, material=colored_wire(name, PATH_COLOR_LINEAR))
     return path

@@ -12,7 +12,7 @@ from .camera_conversion import CAMERA_OPENCV_FROM_BLENDER, blender_pose
 from .emission_material import colored_wire
 from .frame_pictures import show_behind
 from .scan_camera import new_scan_camera
-from .wire_curve import create_wire
+from .wire_curve import create_wire, render_as_tubes
 
 MARKER_COLOR_LINEAR = (0.9, 0.17, 0.0)
 FRUSTUM_MARGIN = 1.08
@@ -31,14 +31,14 @@ def create_markers(
     if not located:
         return []
     material = colored_wire("Scanback marker", MARKER_COLOR_LINEAR)
-    frustum = _create_frustum(intrinsics, size_m=size_m, radius_m=radius_m, material=material)
+    frustum = _create_frustum(intrinsics, size_m=size_m)
     markers = []
     for frame in located:
         camera = _create_camera(frame, intrinsics, size_m=size_m)
         show_behind(camera.data, color_file(dataset, frame.nearest))
         wire = bpy.data.objects.new(f"{camera.name} frustum", frustum)
         wire.parent = camera
-        wire.display_type = "WIRE"
+        render_as_tubes(wire, radius=radius_m, material=material)
         wire.hide_select = True  # a click on it is meant for the camera
         markers += [camera, wire]
         if frame.refined is not None:
@@ -74,9 +74,7 @@ def _create_refined(
     return camera
 
 
-def _create_frustum(
-    camera: Intrinsics, *, size_m: float, radius_m: float, material: bpy.types.Material
-) -> bpy.types.Curve:
+def _create_frustum(camera: Intrinsics, *, size_m: float) -> bpy.types.Curve:
     """Return the curve of a view pyramid of depth ``size_m`` in the frame of a Blender camera."""
     corners_px = np.array([(0, 0), (1, 0), (1, 1), (0, 1)]) * (camera.width, camera.height) - 0.5
     rays = (corners_px - (camera.cx, camera.cy)) / (camera.fx, camera.fy) * FRUSTUM_MARGIN
@@ -89,6 +87,4 @@ def _create_frustum(
         "Scanback frustum",
         [corners, *(np.stack([apex, corner]) for corner in corners), roof],
         closed=[True, False, False, False, False, False],
-        radius_m=radius_m,
-        material=material,
     )

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import bpy
 
+from .wire_curve import materials_of_tubes, tubes_of
+
 FOLDER_KEY = "scanback_folder"
 """Custom property of a reconstruction's collection: its folder. Names may be changed by the user, this stays."""
 PART_KEY = "scanback_part"
@@ -87,8 +89,10 @@ def remove_parts(collection: bpy.types.Collection, *, part: str | None = None) -
     actions = {item.animation_data.action for item in ours if item.animation_data is not None} - {None}
     images = {picture.image for item in ours if item.type == "CAMERA" for picture in item.data.background_images}
     materials = {slot.material for item in ours for slot in item.material_slots if slot.material is not None}
+    materials |= {material for item in ours for material in materials_of_tubes(item)}
+    tubes = {group for item in ours for group in tubes_of(item)}
     bpy.data.batch_remove(ours)
-    for unused in (data, materials, actions, images - {None}):  # in this order: the data uses the others
+    for unused in (data, materials, tubes, actions, images - {None}):  # in this order: the data uses the others
         bpy.data.batch_remove([block for block in unused if block.users == 0])
     for child in [child for child in collection.children_recursive if _is(child, part)]:
         for item in child.objects:  # what the user put there stays

@@ -53,7 +53,7 @@ def fuse_work(
             )
         finally:
             live.remove()
-        hidden = "; what was scanned is hidden behind it" if originals else ""
+        hidden = "; the original is hidden" if originals else ""
         return f"Fused {len(made.trajectory)} frames into {len(made.mesh.triangles):,} triangles{hidden}"
 
     return work

@@ -9,6 +9,7 @@ import pytest
 
 from blender_addon.errors import ReconstructionError
 from blender_addon.results.import_reconstruction import LOCATED_COLLECTION, import_reconstruction
+from blender_addon.results.scene_collection import remove_parts
 from datagen.rigid import inverse, transform_points
 
 KINDS = ("objects", "meshes", "curves", "cameras", "materials", "collections")
@@ -38,7 +39,23 @@ def test_the_path_goes_through_the_fused_poses(empty_scene: bpy.types.Scene, sph
     expected = [np.array(item["world_from_camera"])[:3, 3] for item in sphere_scan.record["trajectory"]]
     np.testing.assert_allclose([point.co[:3] for point in spline.points], expected, atol=1e-6)
     assert np.array_equal(path.matrix_world, np.eye(4))
-    assert path.data.bevel_depth > 0
+    # A line in viewports, where a camera on it sees freely; a tube in renders.
+    assert not path.modifiers[0].show_viewport
+    assert path.modifiers[0].show_render
+    path.modifiers[0].show_viewport = True
+    shown = path.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    tube = bpy.data.meshes.new_from_object(shown)
+    vertices = np.array([vertex.co for vertex in tube.vertices])
+    distances = np.linalg.norm(vertices[:, None] - np.array(expected)[None], axis=2).min(axis=1)
+    assert np.ptp(distances) < 0.5 * distances.mean()
+    assert 0 < distances.mean() < 0.02
+    assert [material.name for material in tube.materials] == ["Scanback camera path"]
+    bpy.data.meshes.remove(tube)
+    again = import_reconstruction(empty_scene, sphere_scan.folder)
+    assert len(bpy.data.node_groups) == 1
+    remove_parts(again)
+    assert not bpy.data.node_groups
+    assert not bpy.data.materials
 
 
 def test_a_marker_sees_the_world_as_the_frame_did(empty_scene: bpy.types.Scene, sphere_scan: Any) -> None:

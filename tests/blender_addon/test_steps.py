@@ -2,6 +2,8 @@
 
 import json
 import math
+import os
+import signal
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -110,7 +112,7 @@ def _fuse_as_the_button_does(folder: Path) -> None:
     assert "integrate" in stages
     assert longest < 0.05
     assert not original.visible_get()
-    assert "what was scanned is hidden" in job.message
+    assert "the original is hidden" in job.message
     assert not any(item.get(PART_KEY) == LIVE_PART for item in bpy.data.objects)
     assert not any("live" in mesh.name for mesh in bpy.data.meshes)
 
@@ -188,6 +190,33 @@ def test_what_is_scanned_is_in_metres_whatever_the_scenes_units(scanned: Path) -
     np.testing.assert_allclose(truth.bounds, UNIT * np.stack([vertices.min(0), vertices.max(0)]), rtol=1e-5)
     assert trimesh.Trimesh(vertices, triangles).volume > 0  # mirrored, and not inside out
     assert truth.volume == pytest.approx(UNIT**3 * trimesh.Trimesh(vertices, triangles).volume, rel=1e-4)
+
+
+@pytest.mark.slow
+def test_a_fuse_that_is_killed_leaves_the_older_result_in_its_place(fused: Path) -> None:
+    def files() -> dict[str, int]:
+        return {path.name: path.stat().st_mtime_ns for path in (fused / "reconstruction").iterdir()}
+
+    before, shown = files(), [item.name for item in bpy.data.objects if item.visible_get()]
+    settings = bpy.context.scene.scanback.fuse
+    chosen = {name: getattr(settings, name) for name in FuseProperties.__annotations__}
+    job = runner.start("Fuse", fuse_work(remember(bpy.context.scene), fused, fused / "dataset", chosen))
+    while job.log.stage != "integrate":
+        runner.advance()
+        time.sleep(0.005)
+        assert not job.is_over, job.message
+    assert job.pid is not None
+    os.kill(job.pid, signal.SIGKILL)
+    while not job.is_over:
+        runner.advance()
+        time.sleep(0.005)
+    assert job.state is State.FAILED
+    assert job.message.startswith("The frames were not fused: the process was ended by the system or by hand")
+    assert files() == before
+    assert [item.name for item in bpy.data.objects if item.visible_get()] == shown
+    assert not any(item.get(PART_KEY) == LIVE_PART for item in bpy.data.objects)
+    assert reasons.why_not_fuse(bpy.context) is None
+    assert bpy.ops.scanback.dismiss() == {"FINISHED"}
 
 
 def test_a_reconstruction_in_the_scene_is_not_scanned_with_it(fused: Path, tmp_path: Path) -> None:

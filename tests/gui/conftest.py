@@ -55,6 +55,7 @@ class Desktop:
         seen = json.loads(seen_file.read_text())
         assert "error" not in seen, seen["error"] + output
         assert seen.get("finished"), output
+        assert "Traceback" not in output, output  # Blender goes on where a panel fails to draw
         seen["output"] = output
         return seen
 

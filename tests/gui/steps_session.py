@@ -31,32 +31,108 @@ def steps(window):
         with window.within():
             result = getattr(bpy.ops.scanback, operator)("INVOKE_DEFAULT")
         assert result == {"FINISHED"}, (operator, result)
-        ending, stalls = yield from watched(window.finish_job(half_way=f"{operator}-running"))
-        window.seen[operator] = {"ended": ending, **stalls}
+        when = grows if operator == "fuse" else lambda: True
+        ending, stalls = yield from watched(window.finish_job(half_way=f"{operator}-running", when=when))
+        window.seen[operator] = {"ended": ending, "sides": sides(), **stalls}
         yield 0.5
         window.shot(f"{operator}-done")
         assert ending[0] == "done", ending
 
     window.seen["files"] = sorted(path.name for path in (SCAN / "reconstruction").iterdir())
     window.seen["objects"] = [[item.name, item.type] for item in bpy.data.objects]
-    # The original would hide what stands in the same place. Solid view: EEVEE takes minutes without a graphics card.
-    bpy.data.objects["Suzanne"].hide_set(True)
+    yield from errors(window)
+    yield from both_sides(window)
+    yield from looking(window)
+    yield from narrow(window)
+
+
+def errors(window):
+    """See the errors from near, from where Suzanne looks."""
+    # Solid view: EEVEE takes minutes without a graphics card.
     with window.within():
         bpy.ops.view3d.view_axis(type="FRONT")
         bpy.ops.object.select_all(action="DESELECT")
-        next(item for item in bpy.data.objects if item.name.startswith("Scanback mesh")).select_set(True)
+        mesh().select_set(True)
         bpy.ops.view3d.view_selected()
-    yield 2.0
+        bpy.ops.view3d.view_orbit(angle=0.35, type="ORBITUP")
+        bpy.ops.object.select_all(action="DESELECT")
+    bpy.ops.scanback.dismiss()
+    yield from window.scroll(-14)
+    yield 1.5
     window.shot("errors")
+
+
+def both_sides(window):
+    """Go from one side to the other and one step back."""
+    seen = window.seen["sides"] = {}
+    for side in ("ORIGINAL", "BOTH", "RECONSTRUCTION"):
+        with window.within():
+            bpy.ops.scanback.show_side(side=side)
+            bpy.ops.ed.undo_push(message=side)
+        yield 0.5
+        seen[side] = sides()
+        if side == "ORIGINAL":
+            window.shot("original")
     with window.within():
+        bpy.ops.ed.undo()
+    yield 0.5
+    seen["UNDONE"] = sides()
+    with window.within():
+        bpy.ops.ed.redo()
         bpy.ops.scanback.show_colors(errors=False)
-    yield 2.0
+    yield 1.5
     window.shot("colors")
+
+
+def looking(window):
+    """Look through the nearest frame, step to the next, and have its picture in front."""
     with window.within():
         window.seen["look"] = list(bpy.ops.scanback.look_through(target="CURSOR"))
+        window.seen["perspective"] = window.area("VIEW_3D").spaces.active.region_3d.view_perspective
     yield 2.0
     window.shot("look-through")
-    window.seen["perspective"] = window.area("VIEW_3D").spaces.active.region_3d.view_perspective
+    camera = bpy.context.scene.camera
+    before = camera["frame"]
+    with window.within():
+        window.seen["step"] = list(bpy.ops.scanback.step_view(step=1))
+    window.seen["stepped"] = [before, camera["frame"], list(camera["nearest_frames"])[:2]]
+    picture = camera.data.background_images[0]
+    picture.display_depth, picture.alpha = "FRONT", 1.0
+    yield 2.0
+    window.shot("picture-in-front")
+    picture.display_depth, picture.alpha = "BACK", 0.5
+
+
+def narrow(window):
+    """Make the sidebar narrow by its edge."""
+    area = window.area("VIEW_3D")
+    region = window.region(area, "UI")
+    window.seen["width"] = [region.width]
+    yield from window.scroll(30)
+    yield from window.drag(region.x + 1, region.y + region.height // 3, 90, 0)
+    yield 1.0
+    window.seen["width"].append(window.region(area, "UI").width)
+    bpy.context.scene.scanback.locate.query = "FRAME"
+    bpy.context.scene.scanback.locate.frame = 1000
+    with window.within():
+        bpy.ops.scanback.locate("INVOKE_DEFAULT")
+    window.seen["refused"] = yield from window.finish_job()
+    yield 1.0
+    window.shot("narrow")
+
+
+def grows():
+    return any(item.name.startswith("Scanback live") for item in bpy.data.objects)
+
+
+def mesh():
+    return next(item for item in bpy.data.objects if item.name.startswith("Scanback mesh"))
+
+
+def sides():
+    """Return which of Suzanne and her reconstruction, where there is one, can be seen."""
+    ours = [item for item in bpy.data.objects if item.name.startswith("Scanback mesh")]
+    return [bpy.data.objects["Suzanne"].visible_get(), any(item.visible_get() for item in ours)]
 
 
 def suzanne():
@@ -76,3 +152,5 @@ def suzanne():
     checker.inputs["Scale"].default_value = 6
     links.new(checker.outputs["Color"], nodes["Principled BSDF"].inputs["Base Color"])
     monkey.data.materials.append(material)
+    # Lighter than Blender's grey, so that the frames' pictures can be told from the viewport behind them.
+    bpy.context.scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = (0.55, 0.62, 0.7, 1)

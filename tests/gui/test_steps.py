@@ -33,3 +33,29 @@ def test_the_results_are_in_the_scene_and_on_disk(seen):
 def test_looking_through_the_nearest_frame_enters_the_cameras_view(seen):
     assert seen["look"] == ["FINISHED"]
     assert seen["perspective"] == "CAMERA"
+    before, after, ranking = seen["stepped"]
+    assert [before, after] == ranking
+
+
+def test_the_original_stands_aside_for_its_reconstruction_and_comes_back_when_asked(seen):
+    original, reconstruction = 0, 1
+    assert seen["scan"]["sides"] == [True, False]
+    for step in ("fuse", "locate", "compare"):
+        assert seen[step]["sides"] == [False, True]
+    sides = seen["sides"]
+    assert sides["ORIGINAL"][original]
+    assert not sides["ORIGINAL"][reconstruction]
+    assert sides["BOTH"] == sides["UNDONE"] == [True, True]
+    assert sides["RECONSTRUCTION"] == [False, True]
+
+
+def test_the_sidebar_can_be_narrow(seen):
+    before, after = seen["width"]
+    assert after < 0.8 * before
+
+
+def test_what_is_refused_is_told_in_words(seen):
+    state, message = seen["refused"]
+    assert state == "failed"
+    assert message.startswith("Nothing was located: ")
+    assert "1000" in message

@@ -52,12 +52,12 @@ class Window:
         """Return the extension's module that runs jobs."""
         return sys.modules[f"{MODULE}.jobs.runner"]
 
-    def finish_job(self, *, half_way=""):
-        """Wait until the job is over and return how it ended; take a picture named ``half_way`` in its middle."""
+    def finish_job(self, *, half_way="", when=lambda: True):
+        """Wait until the job is over and return how it ended; take a picture ``half_way`` in its middle, ``when`` so."""
         runner = self.runner()
         while (job := runner.current_job()) is not None:
             progress = job.progress
-            if half_way and progress is not None and progress.fraction >= 0.5:
+            if half_way and progress is not None and progress.fraction >= 0.5 and when():
                 self.shot(half_way)
                 half_way = ""
             yield 0.1
@@ -84,6 +84,29 @@ class Window:
     def event(self, kind, value="PRESS", **where):
         """Send one event to Blender as if it came from a device."""
         self.window.event_simulate(type=kind, value=value, **where)
+
+    def scroll(self, notches):
+        """Turn the wheel over the sidebar, up where ``notches`` is positive."""
+        region = self.region(self.area("VIEW_3D"), "UI")
+        x, y = region.x + region.width // 2, region.y + region.height // 2
+        self.event("MOUSEMOVE", "NOTHING", x=x, y=y)
+        yield 0.2
+        for _ in range(abs(notches)):
+            self.event("WHEELUPMOUSE" if notches > 0 else "WHEELDOWNMOUSE", "PRESS", x=x, y=y)
+            yield 0.05
+        yield 0.5
+
+    def drag(self, x, y, by_x, by_y):
+        """Drag what is at (x, y), as the edge of a region, so many pixels away."""
+        self.event("MOUSEMOVE", "NOTHING", x=x, y=y)
+        yield 0.3
+        self.event("LEFTMOUSE", "PRESS", x=x, y=y)
+        for part in (0.25, 0.5, 0.75, 1.0):
+            yield 0.1
+            self.event("MOUSEMOVE", "NOTHING", x=round(x + part * by_x), y=round(y + part * by_y))
+        yield 0.2
+        self.event("LEFTMOUSE", "RELEASE", x=x + by_x, y=y + by_y)
+        yield 0.5
 
     def press(self, kind, x, y, **more):
         """Press and release a key or button at pixel (x, y) from the window's lower left corner."""
