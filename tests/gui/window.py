@@ -53,7 +53,7 @@ class Window:
         return sys.modules[f"{MODULE}.jobs.runner"]
 
     def finish_job(self, *, half_way="", when=lambda: True):
-        """Wait until the job is over and return how it ended; take a picture ``half_way`` in its middle, ``when`` so."""
+        """Wait until the job is over and return how it ended; take a picture in its middle, once ``when`` is true."""
         runner = self.runner()
         while (job := runner.current_job()) is not None:
             progress = job.progress
