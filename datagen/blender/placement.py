@@ -18,4 +18,6 @@ def place(thing: bpy.types.Object, world_from_object: Matrix) -> None:
     if isinstance(thing.data, bpy.types.Mesh) and np.abs(achieved - wanted).max() > TOLERANCE * np.abs(wanted).max():
         thing.data = thing.data.copy()
         thing.data.transform(world_from_object)
+        if np.linalg.det(wanted[:3, :3]) < 0:  # a mirror image, whose faces would look inwards
+            thing.data.flip_normals()
         thing.matrix_world = Matrix.Identity(4)

@@ -4,6 +4,7 @@ Installs, uses, disables, enables and uninstalls it. Run in a process of its own
 BLENDER_USER_RESOURCES set to an empty folder. Prints one line of JSON.
 """
 
+import importlib
 import json
 import os
 import sys
@@ -37,6 +38,18 @@ def traces():
     }
 
 
+def begin_job():
+    """Begin a job that never ends by itself, as a user does who then takes the extension away."""
+    runner = importlib.import_module(f"{MODULE}.jobs.runner")
+    pace = importlib.import_module(f"{MODULE}.jobs.job").Pace
+
+    def work(job):
+        while True:
+            yield pace.WAIT
+
+    return runner.start("Test", work)
+
+
 def main(archive, folder):
     """Go through an extension's whole life."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
@@ -45,7 +58,10 @@ def main(archive, folder):
     seen["installed"] = traces()
     seen["import"] = list(bpy.ops.scanback.import_reconstruction(directory=folder))
     seen["objects"] = sorted(item.type for item in bpy.data.collections["Scanback sphere"].all_objects)
+    job = begin_job()
+    seen["job"] = [job.state.value, job.folder.is_dir()]
     bpy.ops.preferences.addon_disable(module=MODULE)
+    seen["job"] += [job.state.value, job.folder.is_dir()]
     seen["disabled"] = traces()
     bpy.ops.preferences.addon_enable(module=MODULE)
     seen["enabled again"] = traces()

@@ -80,6 +80,7 @@ def test_the_zip_installs_works_and_leaves_nothing_behind(archive: Path, sphere_
     assert seen["objects"] == ["CAMERA", "CAMERA", "CURVE", "CURVE", "CURVE", "MESH"]
     assert seen["enabled again"] == installed
     assert {**seen["disabled"], "files": []} == {**before, "files": []}
+    assert seen["job"] == ["running", True, "cancelled", False]
     assert seen["uninstalled"] == before
     assert seen["collections"] == 2
     assert seen["foreign"] == []

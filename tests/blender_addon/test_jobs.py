@@ -80,15 +80,18 @@ def test_the_time_left_is_that_of_the_steps_so_far() -> None:
 
 
 @pytest.mark.usefixtures("extension")
-def test_a_program_that_refuses_is_reported_in_its_own_words(tmp_path: Path) -> None:
+def test_a_program_that_refuses_is_reported_in_its_own_words(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With every letter, whatever the locale: on Windows programs speak that of the country."""
+    monkeypatch.setenv("PYTHONIOENCODING", "ascii")
+    none = tmp_path / "Größe ☃"
+
     def work(job: Job) -> Work[str]:
-        command = Command(program="fusion", arguments=("estimate", str(tmp_path / "none")), failure="No estimate")
-        yield from job.run(command)
+        yield from job.run(Command(program="fusion", arguments=("estimate", str(none)), failure="No estimate"))
         return "estimated"
 
     job = runner.run_to_end("Estimate", work)
     assert job.state is State.FAILED
-    assert job.message == f"No estimate: {tmp_path / 'none'}: no such folder; name the folder of a dataset"
+    assert job.message == f"No estimate: {none}: no such folder; name the folder of a dataset"
     assert runner.current_job() is None
     assert runner.last_job() is job
     assert not job.folder.exists()
@@ -157,31 +160,64 @@ def test_cancelling_leaves_a_scan_that_can_be_gone_on_with(tmp_path: Path) -> No
 
 
 @pytest.mark.usefixtures("extension")
-def test_a_job_that_is_killed_is_reported_and_can_be_gone_on_with(tmp_path: Path) -> None:
-    folder = tmp_path / "dataset"
-    job = runner.start("Scan", _rendering(folder, frames=12))
-    while not list(folder.glob("frames/*.pose.txt")):
+def test_a_job_that_is_killed_is_reported_and_the_panel_usable_again(tmp_path: Path) -> None:
+    job = runner.start("Scan", _rendering(tmp_path / "dataset"))
+    while job.pid is None:
         runner.advance()
-        time.sleep(0.02)
-        assert not job.is_over, job.message
-    assert job.pid is not None
-    children = psutil.Process(job.pid).children(recursive=True)
     os.kill(job.pid, signal.SIGKILL)
     _finish(job)
     assert job.state is State.FAILED
     assert job.message.startswith("No frames: the process was ended by the system or by hand (it was killed; ")
     assert job.message.endswith("run it again")
-    assert _wait_until(lambda: not any(_lives(process) for process in children))
     assert bpy.ops.scanback.dismiss() == {"FINISHED"}
     assert runner.last_job() is None
-    before = {path: path.stat().st_mtime_ns for path in folder.glob("frames/*.pose.txt")}
-    again = runner.start("Scan", _rendering(folder, frames=12))
-    assert _finish(again) < 0.05
-    assert again.message == "rendered"
-    after = {path: path.stat().st_mtime_ns for path in folder.glob("frames/*.pose.txt")}
-    assert len(after) == 12
-    assert before.items() <= after.items()
+
+
+def _render_some(folder: Path, more: int) -> tuple[Job, list[psutil.Process]]:
+    """Begin a scan of 60 frames, or go on with it, until there are so many more; returns it with its processes."""
+    before = len(list(folder.glob("frames/*.pose.txt")))
+    job = runner.start("Scan", _rendering(folder, frames=60))
+    while len(list(folder.glob("frames/*.pose.txt"))) < before + more:
+        runner.advance()
+        time.sleep(0.02)
+        assert not job.is_over, job.message
+    assert job.pid is not None
+    family = [psutil.Process(job.pid), *psutil.Process(job.pid).children(recursive=True)]
+    assert len(family) >= 2
+    return job, family
+
+
+@pytest.mark.slow
+def test_a_scan_whose_processes_are_ended_in_any_way_is_gone_on_with(empty_scene: Any, tmp_path: Path) -> None:
+    folder = tmp_path / "dataset"
+
+    def frames() -> dict[Path, int]:
+        return {path: path.stat().st_mtime_ns for path in folder.glob("frames/*.pose.txt")}
+
+    blender_addon.register()
+    job, family = _render_some(folder, 1)
+    blender_addon.unregister()
+    assert job.state is State.CANCELLED
+    assert not any(_lives(process) for process in family)  # what renders neither, and not only after its frame
     assert not list(folder.rglob(".unfinished*"))
+    blender_addon.register()
+    try:
+        before = frames()
+        job, family = _render_some(folder, 1)
+        family[0].kill()
+        _finish(job)
+        assert job.state is State.FAILED
+        assert _wait_until(lambda: not any(_lives(process) for process in family))
+        job, family = _render_some(folder, 1)
+        family[1].kill()  # what renders: another one takes its place
+        assert _finish(job) < 0.05
+        assert job.message == "rendered"
+        assert any("a fresh process tries again" in line for line in job.log.lines)
+        assert len(frames()) == 60
+        assert before.items() <= frames().items()
+        assert not list(folder.rglob(".unfinished*"))
+    finally:
+        blender_addon.unregister()
 
 
 STARTS_A_JOB = """
@@ -240,36 +276,17 @@ def _lives(process: psutil.Process) -> bool:
 
 @pytest.mark.usefixtures("extension")
 def test_taking_the_extension_away_ends_its_job(tmp_path: Path) -> None:
-    folder = tmp_path / "dataset"
-    job = runner.start("Scan", _rendering(folder))
-    while not list(folder.glob("frames/*.pose.txt")):
+    job = runner.start("Scan", _rendering(tmp_path / "dataset"))
+    while job.pid is None:
         runner.advance()
-        time.sleep(0.02)
-        assert not job.is_over, job.message
-    assert job.pid is not None
-    family = [psutil.Process(job.pid), *psutil.Process(job.pid).children(recursive=True)]
-    assert len(family) >= 2
+    process = psutil.Process(job.pid)
     blender_addon.unregister()
     try:
-        assert not any(_lives(process) for process in family)  # what renders neither, and not only after its frame
-        assert not list(folder.rglob(".unfinished*"))
+        assert not _lives(process)
         assert job.state is State.CANCELLED
         assert not job.folder.exists()
     finally:
         blender_addon.register()
-
-
-@pytest.mark.usefixtures("extension")
-def test_what_a_program_says_keeps_every_letter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whatever the locale: on Windows programs speak that of the country."""
-    monkeypatch.setenv("PYTHONIOENCODING", "ascii")
-    none = tmp_path / "Größe ☃"
-
-    def work(job: Job) -> Work[str]:
-        yield from job.run(Command(program="fusion", arguments=("estimate", str(none)), failure="No"))
-        return ""
-
-    assert runner.run_to_end("Test", work).message == f"No: {none}: no such folder; name the folder of a dataset"
 
 
 def _in_another_process(code: str, *arguments: str) -> "subprocess.Popen[str]":

@@ -10,7 +10,7 @@ import pytest
 from datagen.blender_program import EXTENSIONS_VARIABLE
 from datagen.scene_spec.measured_model import measure_model
 
-pytestmark = pytest.mark.usefixtures("blender")
+pytestmark = pytest.mark.slow
 
 MANIFEST = """
 schema_version = "1.0.0"
