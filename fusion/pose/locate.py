@@ -154,7 +154,9 @@ def _open(
         valid = None if query.depth is None else query.valid_depth()
         typical = float(np.median(valid[valid > 0])) if valid is not None and (valid > 0).any() else None
         scale = 1.0 if options.model_scale is None else options.model_scale
-        return open_cad_model(target, scale=scale, camera=source.camera, typical_depth=typical, device=device)
+        return open_cad_model(
+            target, scale=scale, camera=source.camera, typical_depth=typical, device=device, frames_for=stages
+        )
     if options.model_scale is not None:
         raise InputError(f"--model-scale: {target} is a reconstruction, which is in metres; it is for CAD models")
     return open_reconstruction(target, device=device, frames_for=stages)

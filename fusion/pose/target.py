@@ -108,12 +108,19 @@ def _fused_frames(folder: Path, record: ReconstructionRecord) -> References:
 
 
 def open_cad_model(
-    path: Path, *, scale: float, camera: PinholeCamera, typical_depth: float | None, device: Device
+    path: Path,
+    *,
+    scale: float,
+    camera: PinholeCamera,
+    typical_depth: float | None,
+    device: Device,
+    frames_for: Sequence[StageName],
 ) -> Target:
     """Open a CAD model, ``scale`` metres a unit of its file, and choose views from all around for ``camera``.
 
-    ``typical_depth`` is how far away the first query's object is, metres, None where that is not known. Raises
-    InputError for a file that cannot be used, and a size that cannot be meant.
+    ``typical_depth`` is how far away the first query's object is, metres, None where that is not known. Of the stages
+    ``frames_for`` the epipolar one alone is given views: the model is what it is, and depth has nothing to learn from
+    them. Raises InputError for a file that cannot be used, and a size that cannot be meant.
     """
     cad = read_cad_model(path, scale=scale)
     check_size(cad, typical_depth)
@@ -124,7 +131,7 @@ def open_cad_model(
         model=model,
         views=views,
         numbers=list(range(len(views))),
-        references=_rendered(cad, model, camera, device),
+        references=_rendered(cad, model, camera, device) if "epipolar" in frames_for else lambda _e, _i: [],
     )
 
 

@@ -12,7 +12,7 @@ from datagen.rigid import inverse, look_at, rotation_angle_deg, transform_points
 from fusion.pose.cad_model import CadModel, Renderer, check_size, read_cad_model, views_around
 from fusion.pose.query import Query
 from fusion.pose.se3 import perturb
-from fusion.pose.stages import refine
+from fusion.pose.stages import STAGES, refine
 from fusion.pose.target import open_cad_model
 from fusion.surface.mesh import Mesh
 
@@ -62,7 +62,9 @@ def test_a_mesh_wound_the_other_way_round_has_the_same_inside(device):
 
 def test_points_alone_are_a_model_too(device, tmp_path):
     np.savetxt(tmp_path / "balls.xyz", sphere_points(1500))
-    target = open_cad_model(tmp_path / "balls.xyz", scale=1.0, camera=CAMERA, typical_depth=0.7, device=device)
+    target = open_cad_model(
+        tmp_path / "balls.xyz", scale=1.0, camera=CAMERA, typical_depth=0.7, device=device, frames_for=STAGES
+    )
     assert target.model.diameter == pytest.approx(0.43, abs=0.02)
     assert target.references(target.views[0], np.arange(3)) == []  # no colours, no features
 
@@ -71,7 +73,9 @@ def test_a_shell_without_an_inside_is_refused(device, tmp_path):
     sheet = trimesh.Trimesh([[0, 0, 0], [0.3, 0, 0], [0.3, 0.3, 0], [0, 0.3, 0.05]], [[0, 1, 2], [0, 2, 3]])
     sheet.export(tmp_path / "sheet.ply")
     with pytest.raises(InputError, match=r"sheet\.ply: .*closed"):
-        open_cad_model(tmp_path / "sheet.ply", scale=1.0, camera=CAMERA, typical_depth=0.7, device=device)
+        open_cad_model(
+            tmp_path / "sheet.ply", scale=1.0, camera=CAMERA, typical_depth=0.7, device=device, frames_for=STAGES
+        )
 
 
 def test_a_texture_is_rendered_where_it_lies(device, tmp_path):
@@ -109,7 +113,9 @@ def test_texture_tells_sides_apart_that_are_alike_in_shape(device, tmp_path):
     shape.visual.vertex_colors = rng.integers(0, 255, (len(shape.vertices), 3)).astype(np.uint8)
     shape.export(tmp_path / "cube.ply")
     camera = PinholeCamera(width=320, height=240, fx=340.0, fy=340.0, cx=160.0, cy=119.0)
-    target = open_cad_model(tmp_path / "cube.ply", scale=1.0, camera=camera, typical_depth=0.8, device=device)
+    target = open_cad_model(
+        tmp_path / "cube.ply", scale=1.0, camera=camera, typical_depth=0.8, device=device, frames_for=STAGES
+    )
     cad = read_cad_model(tmp_path / "cube.ply")
     truth = look_at((0.45, -0.5, 0.4), (0, 0, 0))
     color, depth = Renderer.of(cad, cad.mesh, device=device).view(camera, truth)

@@ -47,7 +47,7 @@ def test_the_field_is_the_distance_and_its_slope_near_the_surface_and_far_from_i
     assert (sources == FROM_GRID).mean() > 0.97  # the rest lies where the distance has no slope
     known = sources == FROM_GRID
     # A node takes the closest point that the nearest node beside the surface has. Those lie up to a spacing farther out
-    # in one place than in another, and a node that is so much nearer, to the side, is taken instead: no worse than that.
+    # in one place than in another, and one to the side that is so much nearer is taken instead: no worse than that.
     off = np.abs(found[known] - distances(far)[known]) / model.grid.spacing
     assert off.max() < 1
     assert np.median(off) < 0.15
