@@ -4,8 +4,8 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from datagen.commands.job_options import add_job_options, reporting
 from datagen.open_dataset import open_dataset
-from datagen.progress import on_terminal
 from fusion.commands.arguments import add_device
 from fusion.reconstruction_config import ReconstructionConfig
 from fusion.report.report import write_report
@@ -20,12 +20,13 @@ def add_command(commands: Any) -> None:
     command.add_argument("--depth-max", type=float, metavar="M", help="take farther depths as invalid")
     command.add_argument("--view-frame", type=int, metavar="N", help="take pictures from this frame's pose")
     add_device(command)
+    add_job_options(command)
     command.set_defaults(run=_run)
 
 
 def _run(options: argparse.Namespace) -> None:
     config = ReconstructionConfig(voxel_size=options.voxel_size, depth_max=options.depth_max, device=options.device)
     datasets = [open_dataset(folder) for folder in options.dataset]
-    with on_terminal() as progress:
+    with reporting(options) as progress:
         page = write_report(datasets, options.out, config, view_frame=options.view_frame, progress=progress)
     print(page)

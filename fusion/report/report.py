@@ -1,21 +1,27 @@
 """The report of some datasets: reconstructions, figures, table, page."""
 
-from collections.abc import Sequence
+import platform
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import warp as wp
+import psutil
 
 from datagen.atomic_write import require_writable, write_bytes
 from datagen.dataset import Dataset
 from datagen.errors import InputError
+from datagen.formats.registry import FORMATS
 from datagen.progress import ProgressReporter, silent
-from fusion.devices import load_kernels, resolve_device
+from fusion.devices import Device, load_kernels, resolve_device
 from fusion.reconstruction_config import ReconstructionConfig
 from fusion.reconstruction_files import installed_versions
 from fusion.report import figures, mesher_figure
-from fusion.report.figures import Figure, Subject
-from fusion.report.page import Section, Speed, encode_png, render_page
+from fusion.report.coloured_figure import coloured
+from fusion.report.page import Section, encode_png, render_page
+from fusion.report.panels import Figure, Numbers, errors, millimetres
+from fusion.report.speed_table import speed_scenes
+from fusion.report.subject import Subject, suitable_config, truth_of, view_of
+from fusion.surface.mesh import Mesh
 from fusion.surface.mesh_files import read_mesh
 
 PAGE_FILE = "report.html"
@@ -26,9 +32,6 @@ KERNEL_MODULES = (
     "fusion.surface.mesh_ray_casting",
     "fusion.evaluation.observed_surface",
 )
-
-PAPER = (("Stanford Bunny", 500, 296.67), ("Suzanne", 500, 530.74), ("Table with object", 500, 296.67))
-"""Table I of the paper: frames and frames/s on its GPU; on its CPU all had 0.5."""
 
 
 def write_report(
@@ -42,103 +45,134 @@ def write_report(
     """Write ``report.html`` and its pictures into ``out`` and return the page's path.
 
     Reconstructions are kept in ``out/runs`` and not made again by a second call, so that an interrupted one goes on.
-    ``view_frame`` is the frame from whose pose pictures are taken, the first where None. Raises InputError for datasets
-    that share a name, and for everything that a reconstruction refuses.
+    ``view_frame`` is the frame from whose pose pictures are taken, the first where None. Raises InputError, before
+    anything is made, for datasets that share a name, lack a file or a true mesh that they name, and where ``out`` is a
+    dataset itself; and for everything that a reconstruction refuses.
     """
-    require_writable(out)
-    names = [_name(dataset) for dataset in datasets]
+    names = [dataset.folder.resolve().name for dataset in datasets]
+    truths = [_checked(dataset, view_frame) for dataset in datasets]
     for name in names:
         if names.count(name) > 1:
             raise InputError(f"two datasets are called {name!r}; rename a folder")
+    _require_place(out)
     device = resolve_device(config.device)
     load_kernels(KERNEL_MODULES, device=device, progress=progress)
-    sections, speeds = [], []
-    for name, dataset in zip(names, datasets, strict=True):
-        subject = _subject(name, dataset, out / RUNS_FOLDER / name, config, view_frame)
-        made = _figures(subject, progress)
+    sections, subjects = [], []
+    for name, dataset, truth in zip(names, datasets, truths, strict=True):
+        advance = progress(name, _steps(dataset, truth))
+        subject = _subject(name, dataset, truth, out / RUNS_FOLDER / name, config, device, view_frame, advance)
+        made = _figures(subject, view_frame)
         _write_images(out / IMAGES_FOLDER / name, made)
-        sections.append(Section(name=name, description=_description(subject), figures=made))
-        speeds += _speeds(subject)
-    speeds += [
-        Speed(scene=scene, device="the paper's GPU", frames=frames, frames_per_second=rate, source="paper")
-        for scene, frames, rate in PAPER
-    ]
-    speeds.append(Speed(scene="all three", device="the paper's CPU", frames=500, frames_per_second=0.5, source="paper"))
-    page = render_page(sections, speeds, facts=list(installed_versions().items()))
+        sections.append(Section(name=name, description=_description(subject), glance=_glance(subject), figures=made))
+        subjects.append(subject)
+    scenes, note = speed_scenes(subjects)
+    page = render_page(sections, scenes, speed_note=note, facts=_facts(device))
     write_bytes(out / PAGE_FILE, page.encode())
     return out / PAGE_FILE
+
+
+def _checked(dataset: Dataset, view_frame: int | None) -> Mesh | None:
+    """Return a dataset's true mesh, None for none, once all that the report reads is there: it works for minutes."""
+    dataset.require(dataset.frame_ids)
+    if not dataset.frame_ids:
+        raise InputError(f"{dataset.folder}: has no frames; a report needs some")
+    if view_frame is not None and view_frame not in dataset.frame_ids:
+        first, last = dataset.frame_ids[0], dataset.frame_ids[-1]
+        raise InputError(f"--view-frame {view_frame}: {dataset.folder} has no such frame; it has {first} to {last}")
+    path = dataset.ground_truth_mesh
+    if path is None:
+        return None
+    if not path.is_file():
+        raise InputError(
+            f"{path}: the file is missing, and the dataset names it as its true mesh; put it there, or make the "
+            'dataset.json say "ground_truth_mesh": null for a report without errors'
+        )
+    return read_mesh(path)
+
+
+def _require_place(out: Path) -> None:
+    """Refuse to write into a dataset, as happens where the last argument is forgotten."""
+    if out.is_dir() and any(dataset_format.detect(out) for dataset_format in FORMATS):
+        raise InputError(f"{out}: is a dataset; name the folder for the report after the datasets")
+    require_writable(out)
 
 
 def _subject(
     name: str,
     dataset: Dataset,
+    truth: Mesh | None,
     folder: Path,
     config: ReconstructionConfig,
+    device: Device,
     view_frame: int | None,
+    advance: Callable[[], None],
 ) -> Subject:
-    frame = dataset.frame_ids[0] if view_frame is None else view_frame
-    if frame not in dataset.frame_ids:
-        raise InputError(f"--view-frame {frame}: {dataset.folder} has no such frame")
-    device = resolve_device(config.device)
-    camera, pose = figures.view_of(dataset, frame)
+    base = suitable_config(dataset, replace(config, device=device.alias))
     return Subject(
         name=name,
         dataset=dataset,
-        ground_truth=None if dataset.ground_truth_mesh is None else read_mesh(dataset.ground_truth_mesh),
+        truth=truth_of(dataset, truth, depth_max=config.depth_max, device=device),
         folder=folder,
-        base=figures.suitable_config(dataset, replace(config, device=device.alias)),
-        camera=camera,
-        world_from_camera=pose,
-        view_frame=frame,
+        base=base,
+        view=view_of(dataset, dataset.frame_ids[0] if view_frame is None else view_frame),
         device=device,
+        advance=advance,
     )
 
 
-def _figures(subject: Subject, progress: ProgressReporter) -> tuple[Figure, ...]:
+def _steps(dataset: Dataset, truth: Mesh | None) -> int:
+    """Return how often ``_figures`` advances."""
+    if truth is None:
+        return 1
+    counts = (figures.frame_counts(len(dataset.frame_ids)), figures.VOXEL_FACTORS, figures.TRUNCATION_VOXELS)
+    return 1 + mesher_figure.RUNS + sum(len(cases) for cases in counts)
+
+
+def _figures(subject: Subject, view_frame: int | None) -> tuple[Figure, ...]:
     """Make a dataset's figures: of a recording without a true mesh the coloured mesh alone, as in the paper."""
-    if subject.ground_truth is None:
-        subject = replace(subject, advance=progress(subject.name, 1))
-        return (figures.coloured(subject),)
-    steps = 1 + len(figures.frame_counts(len(subject.dataset.frame_ids))) + mesher_figure.RUNS
-    steps += len(figures.VOXEL_FACTORS) + len(figures.TRUNCATION_VOXELS)
-    subject = replace(subject, advance=progress(subject.name, steps))
+    if subject.truth is None:
+        return (coloured(subject),)
     # First what needs the volumes, which are not kept.
     meshed = mesher_figure.meshers(subject)
-    makers = (figures.coloured, figures.growth, figures.voxel_sizes, figures.truncations)
-    return (*(maker(subject) for maker in makers), meshed)
-
-
-def _speeds(subject: Subject) -> list[Speed]:
-    """Fuse on every device there is: the table's row for each."""
-    devices = ["cpu", *(device.alias for device in wp.get_cuda_devices()[:1])]
-    records = [subject.reconstruct(device=device).record for device in devices]
-    return [
-        Speed(
-            scene=subject.name,
-            device=record.device,
-            frames=record.frames,
-            frames_per_second=record.frames_per_second,
-            source="ours",
-        )
-        for record in records
-    ]
+    grown = subject if view_frame is not None else subject.seen_from(figures.growth_view(subject))
+    return (
+        figures.growth(grown),
+        coloured(subject),
+        figures.voxel_sizes(subject),
+        figures.truncations(subject),
+        meshed,
+    )
 
 
 def _write_images(folder: Path, made: Sequence[Figure]) -> None:
-    for panel in (panel for figure in made for panel in figure.panels):
-        write_bytes(folder / f"{panel.name}.png", encode_png(panel.image))
+    for picture in (picture for figure in made for panel in figure.panels for picture in panel.pictures):
+        write_bytes(folder / f"{picture.name}.png", encode_png(picture.image))
 
 
-def _name(dataset: Dataset) -> str:
-    return dataset.folder.resolve().name
+def _glance(subject: Subject) -> Numbers:
+    """Return the dataset's row in the page's first table."""
+    record = subject.reconstruct().record
+    numbers = (
+        ("frames", f"{record.frames}"),
+        ("voxel", millimetres(record.voxel_size_m)),
+        ("vertices", f"{record.vertices:,}"),
+    )
+    rate = (("fused, frames/s", f"{record.frames_per_second:,.0f}"),)
+    return (*numbers, *(() if record.metrics is None else errors(record.metrics)[:1]), *rate)
 
 
 def _description(subject: Subject) -> str:
     camera, base = subject.dataset.camera, subject.base
-    assert base.voxel_size is not None
     assert base.truncation is not None
-    truth = "with" if subject.ground_truth is not None else "without"
+    truth = "with a true mesh" if subject.truth is not None else "without a true mesh, so that errors cannot be told"
     return (
-        f"{len(subject.dataset.frame_ids)} frames of {camera.width}×{camera.height} pixels, {truth} a true mesh; "
-        f"voxels of {1000 * base.voxel_size:.3g} mm, truncation {1000 * base.truncation:.3g} mm unless said otherwise."
+        f"{len(subject.dataset.frame_ids)} frames of {camera.width}×{camera.height} pixels, {truth}; voxels of "
+        f"{millimetres(subject.voxel_size)}, truncated at {millimetres(base.truncation)}, and marching cubes, unless "
+        f"said otherwise. Pictures are from frame {subject.view.frame}'s pose, unless said otherwise."
     )
+
+
+def _facts(device: Device) -> list[tuple[str, str]]:
+    """Return what the numbers were made with."""
+    place = device.name if device.is_cuda else f"CPU, {psutil.cpu_count()} cores"
+    return [("device", place), ("system", f"{platform.system()} {platform.machine()}"), *installed_versions().items()]

@@ -1,38 +1,45 @@
 import json
+import os
 import re
 import shutil
+from dataclasses import replace
+from pathlib import Path
 
-import numpy as np
 import pytest
 import trimesh
 from synthetic_scene import SphereScene, icosphere, write_dataset
 
-from datagen.camera import PinholeCamera
-from datagen.rigid import look_at
+from datagen.open_dataset import open_dataset
 from fusion.cli import main
 from fusion.devices import resolve_device
+from fusion.reconstruction_config import ReconstructionConfig
 from fusion.reconstruction_files import read_record
-from fusion.report import runs
-from fusion.report.heat_map import heat, heat_bar
-from fusion.report.mesh_picture import picture_of_mesh
-from fusion.surface.mesh import Mesh
+from fusion.report import mesher_figure, runs, subject
+from fusion.report.panels import duration, millimetres, ratio
 
 CPU = resolve_device("cpu")
 SCENE = SphereScene()
 
 
+@pytest.fixture(scope="module", autouse=True)
+def quick():
+    """Small pictures, and times taken once: what is tested depends on neither."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(runs, "TIMED_FOR", 0.0)
+        patch.setattr(subject, "PICTURE_WIDTH", 120)
+        yield
+
+
 @pytest.fixture(scope="module")
-def reported(tmp_path_factory):
+def reported(tmp_path_factory, quick):
     """A small dataset of a sphere with its true mesh, and the report of it."""
     folder = tmp_path_factory.mktemp("report")
     truth = trimesh.Trimesh(*icosphere(SCENE), process=False)
     (folder / "ball" / "ground_truth").mkdir(parents=True)
     truth.export(folder / "ball" / "ground_truth" / "mesh.ply")
     write_dataset(folder / "ball", SCENE.frames_around(12), ground_truth_mesh="ground_truth/mesh.ply")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(runs, "TIMED_FOR", 0.0)
-        arguments = ["report", str(folder / "ball"), str(folder / "out"), "--voxel-size", "0.02", "--device", "cpu"]
-        assert main(arguments) == 0
+    arguments = ["report", str(folder / "ball"), str(folder / "out"), "--voxel-size", "0.02", "--device", "cpu"]
+    assert main(arguments) == 0
     return folder
 
 
@@ -47,20 +54,43 @@ def test_the_page_asks_for_nothing_from_outside(reported):
 
 def test_the_numbers_on_the_page_are_those_of_the_records(reported):
     page = (reported / "out" / "report.html").read_text()
-    records = [read_record(path.parent) for path in sorted((reported / "out").glob("runs/ball/*/reconstruction.json"))]
+    paths = sorted((reported / "out").glob("runs/ball/*/reconstruction.json"))
+    records = [read_record(path.parent) for path in paths]
     assert {record.frames for record in records} == {10, 12}
     assert len({record.voxel_size_m for record in records}) == 4
     assert len({record.truncation_m for record in records}) == 5
-    assert len(records) == 9 + 4  # none of them twice: nine fused, and four meshed from two of these
-    for record in records:
+    assert len(records) == 9 + 5  # none of them twice: nine fused, and five meshed from two of these
+    for path, record in zip(paths, records, strict=True):
         assert f"<dd>{record.vertices:,}</dd>" in page
-        assert f"<dd>{1000 * record.metrics['chamfer_m']:.3g} mm</dd>" in page
+        assert f"<dd>{duration(json.loads((path.parent / runs.TIMING_FILE).read_text())['mesh_seconds'])}" in page
+    # All of figure 11 is held against one truth at one distance, whatever its voxels.
+    meshed = [record for path, record in zip(paths, records, strict=True) if path.parent.name.startswith("meshed-")]
+    assert {record.metrics["fscores"][0]["threshold_m"] for record in meshed} == {0.01}
+    for record in meshed:
+        assert f"<dd>{millimetres(record.metrics['chamfer_m'])}</dd>" in page
+
+
+def test_every_picture_has_numbers_beneath_it(reported):
+    page = (reported / "out" / "report.html").read_text()
+    pictures = page.split("<figure>")[1:]
+    assert pictures
+    assert all(re.search(r"<dt>[^<]+</dt><dd>[^<]*[0-9]", picture.split("</figure>")[0]) for picture in pictures)
+
+
+def test_more_frames_cover_more_of_what_all_frames_see(reported):
+    page = (reported / "out" / "report.html").read_text()
+    shares = [float(share) for share in re.findall(r"<dt>surface there</dt><dd>([0-9.]+) %", page)]
+    assert len(shares) == 2
+    # The second is of all the frames: what they all see is less than a voxel from what they make.
+    assert shares[0] < shares[1]
+    assert shares[1] > 99
 
 
 def test_every_picture_is_a_file_too(reported):
     page = (reported / "out" / "report.html").read_text()
     pictures = {path.stem for path in (reported / "out" / "images" / "ball").glob("*.png")}
-    assert {"photograph", "coloured", "frames-010", "voxel-8", "truncation-16", "mesher-marching-cubes"} <= pictures
+    assert {"photograph", "coloured", "coloured-error", "frames-010", "voxel-8", "truncation-16-error"} <= pictures
+    assert {"mesher-marching-cubes", "mesher-marching-cubes-close", "mesher-marching-cubes-error"} <= pictures
     assert page.count("<figure>") == len(pictures)
 
 
@@ -83,7 +113,7 @@ def test_a_volume_is_kept_no_longer_than_it_is_meshed(reported):
 
 
 def test_an_interrupted_figure_goes_on(reported, tmp_path, monkeypatch):
-    # One of the four meshes is lost: it alone is meshed again, from the volume that is fused again.
+    # One of the five meshes is lost: it alone is meshed again, from the volume that is fused again.
     shutil.copytree(reported / "ball", tmp_path / "ball")
     shutil.copytree(reported / "out", tmp_path / "out")
     lost = next(
@@ -93,15 +123,13 @@ def test_an_interrupted_figure_goes_on(reported, tmp_path, monkeypatch):
     )
     shutil.rmtree(lost)
     counted = []
-    mesh_volume = runs.mesh_volume
+    mesh_run = mesher_figure.mesh_run
     monkeypatch.setattr(
-        runs, "mesh_volume", lambda *given, **options: counted.append(given) or mesh_volume(*given, **options)
+        mesher_figure, "mesh_run", lambda *given, **options: counted.append(given) or mesh_run(*given, **options)
     )
-    monkeypatch.setattr(runs, "TIMED_FOR", 0.0)
-    assert (
-        main(["report", str(tmp_path / "ball"), str(tmp_path / "out"), "--voxel-size", "0.02", "--device", "cpu"]) == 0
-    )
-    assert {given[1] for given in counted} == {"dual-contouring"}
+    arguments = [str(tmp_path / "ball"), str(tmp_path / "out"), "--voxel-size", "0.02", "--device", "cpu"]
+    assert main(["report", *arguments]) == 0
+    assert [(config.mesher, config.oracle) for _, _, config in counted] == [("dual-contouring", "volume")]
     assert (lost / "mesh.ply").is_file()
 
 
@@ -110,16 +138,16 @@ def test_what_dual_contouring_costs_and_gains_is_said_with_the_numbers_of_its_re
     made = {}
     for path in (reported / "out").glob("runs/ball/meshed-*/reconstruction.json"):
         record = read_record(path.parent)
-        seconds = json.loads((path.parent / runs.VARIANT_FILE).read_text())["seconds"]
+        seconds = json.loads((path.parent / runs.TIMING_FILE).read_text())["mesh_seconds"]
         made[record.config["mesher"], record.config["oracle"], record.voxel_size_m] = record, seconds
     cubes, coarse = made["marching-cubes", "depth", 0.02], made["dual-contouring", "depth", 0.04]
-    share = 100 * coarse[0].vertices / cubes[0].vertices
-    assert f"On voxels twice as large it has {share:.0f} % of them" in page
+    assert f"On voxels twice as large it has {coarse[0].vertices:,} vertices" in page
     times = made["dual-contouring", "volume", 0.02][1] / cubes[1]
-    assert f"it costs {times:.1f} times marching cubes" in page
+    assert f"dual contouring by the volume {ratio(times)} times" in page
     # A ball has no sharp edges, and all of it is smooth.
     assert "<dt>smooth parts</dt>" in page
-    assert "<dt>sharp edges</dt>" not in page
+    assert "<dt>sharp edges</dt><dd>" not in page
+    assert "The truth has no sharp edges" in page
 
 
 def test_two_datasets_of_one_name_are_refused(reported, tmp_path, capsys):
@@ -129,29 +157,68 @@ def test_two_datasets_of_one_name_are_refused(reported, tmp_path, capsys):
     assert not (tmp_path / "out").exists()
 
 
-def test_a_picture_shows_a_sphere_where_the_camera_sees_it():
-    sphere = trimesh.creation.icosphere(subdivisions=4, radius=0.3)
-    mesh = Mesh(vertices=np.asarray(sphere.vertices, np.float32), triangles=np.asarray(sphere.faces, np.int32))
-    camera = PinholeCamera(width=200, height=160, fx=300, fy=300, cx=110, cy=70)
-    picture = picture_of_mesh(mesh, camera, look_at((0, -2, 0), (0, 0, 0)), device=CPU)
-    v, u = np.nonzero((picture < 250).all(axis=-1))
-    assert (u.mean(), v.mean()) == pytest.approx((110, 70), abs=0.3)
-    # Its outline is seen at the tangent's angle.
-    radius = 300 * np.tan(np.arcsin(0.3 / 2))
-    assert len(u) == pytest.approx(np.pi * radius**2, rel=0.03)
+@pytest.fixture
+def ball(reported, tmp_path):
+    """A copy of the dataset."""
+    return Path(shutil.copytree(reported / "ball", tmp_path / "ball"))
 
 
-def test_unshaded_colours_are_shown_as_they_are():
-    square = trimesh.creation.box((1, 1, 1))
-    mesh = Mesh(vertices=np.asarray(square.vertices, np.float32), triangles=np.asarray(square.faces, np.int32))
-    camera = PinholeCamera(width=20, height=20, fx=20, fy=20, cx=9.5, cy=9.5)
-    colors = np.tile([0.2, 0.5, 0.9], (len(mesh.vertices), 1))
-    picture = picture_of_mesh(mesh, camera, look_at((0, -1, 0), (0, 0, 0)), device=CPU, colors=colors, shaded=False)
-    np.testing.assert_array_equal(picture[10, 10], np.rint(255 * colors[0]))
+def test_a_missing_true_mesh_is_named_before_anything_is_made(ball, tmp_path, capsys):
+    (ball / "ground_truth" / "mesh.ply").unlink()
+    assert main(["report", str(ball), str(tmp_path / "out")]) == 2
+    error = capsys.readouterr().err
+    assert str(ball / "ground_truth" / "mesh.ply") in error
+    assert '"ground_truth_mesh": null' in error
+    assert not (tmp_path / "out").exists()
 
 
-def test_heat_grows_brighter_and_ends_at_the_most():
-    brightness = heat(np.linspace(0, 2, 9), most=2.0) @ (0.2126, 0.7152, 0.0722)
-    assert (np.diff(brightness) > 0).all()
-    np.testing.assert_array_equal(heat(2.0, most=2.0), heat(50.0, most=2.0))
-    np.testing.assert_array_equal(heat_bar()[0, -1], np.rint(255 * heat(1, most=1.0)))
+def test_a_broken_dataset_is_named_before_another_one_is_fused(reported, ball, tmp_path, capsys):
+    ball = ball.rename(tmp_path / "broken")
+    (ball / "frames" / "frame-000007.depth.png").unlink()
+    assert main(["report", str(reported / "ball"), str(ball), str(tmp_path / "out")]) == 2
+    assert "frame-000007.depth.png: the file is missing" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_view_that_there_is_not_is_refused(ball, tmp_path, capsys):
+    assert main(["report", str(ball), str(tmp_path / "out"), "--view-frame", "12"]) == 2
+    assert "--view-frame 12" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_dataset_in_the_place_of_the_report_is_refused(reported, ball, capsys):
+    before = sorted(ball.rglob("*"))
+    assert main(["report", str(reported / "ball"), str(ball)]) == 2
+    assert "name the folder for the report after the datasets" in capsys.readouterr().err
+    assert sorted(ball.rglob("*")) == before
+
+
+def test_a_run_is_stale_when_its_dataset_has_grown_or_was_made_anew(reported, ball):
+    ours = open_dataset(ball)
+    folder, config = ball.parent / "run", ReconstructionConfig(voxel_size=0.05, device="cpu")
+    runs.run(ours, folder, config)
+    assert runs.is_current(ours, folder, config)
+    fewer = replace(ours, frames={i: ours.frames[i] for i in range(11)})
+    assert not runs.is_current(fewer, folder, config)
+    moved = {**ours.frames, 3: replace(ours.frames[3], pose=ours.world_from_camera(4))}
+    assert not runs.is_current(replace(ours, frames=moved), folder, config)
+    later = (folder / runs.TIMING_FILE).stat().st_mtime + 10
+    os.utime(ours.color_file(5), (later, later))
+    assert not runs.is_current(ours, folder, config)
+
+
+def test_a_recording_without_truth_is_shown_in_its_colours_beside_the_papers_table(reported, ball):
+    metadata = json.loads((ball / "dataset.json").read_text()) | {"ground_truth_mesh": None}
+    (ball / "dataset.json").write_text(json.dumps(metadata))
+    out = ball.parent / "out"
+    assert main(["report", str(ball), str(out), "--voxel-size", "0.02", "--device", "cpu"]) == 0
+    page = (out / "report.html").read_text()
+    assert "Fig. 12" in page
+    assert "Fig. 7" not in page
+    # The scene is seen exactly: its depth is that of the frame, and its colours are two, without shading.
+    assert float(re.search(r"<dt>depth, median</dt><dd>([0-9.]+) mm off", page).group(1)) < 2
+    assert float(re.search(r"<dt>colour, PSNR</dt><dd>([0-9.]+) dB", page).group(1)) > 20
+    record = read_record(next((out / "runs" / "ball").iterdir()))
+    assert f"<td>{record.frames_per_second:.1f}</td>" in page
+    for rate in ("296.7", "530.7", "0.5"):
+        assert f"<td>{rate}</td>" in page
