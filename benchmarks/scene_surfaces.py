@@ -47,8 +47,8 @@ class Truth:
 
 def true_surface(dataset, frames, voxel_size, device):
     mesh = read_mesh(dataset.ground_truth_mesh)
-    points = sample_surface(mesh, SAMPLES, rng=np.random.default_rng(0)).points
-    seen = points[observed_points(points, dataset, frames, device=device)]
+    samples = sample_surface(mesh, SAMPLES, rng=np.random.default_rng(0))
+    seen = samples.points[observed_points(samples.points, samples.normals, mesh, dataset, frames, device=device)]
     edges = sharp_edge_points(mesh, spacing=0.25 * voxel_size)
     return Truth(mesh, seen, cKDTree(edges) if len(edges) else None)
 

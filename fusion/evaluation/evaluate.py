@@ -99,6 +99,8 @@ def seen_truth(
         return truth
     seen = observed_points(
         truth.points,
+        truth.normals,
+        ground_truth,
         observed_by.dataset,
         observed_by.frame_ids,
         device=device,

@@ -19,31 +19,43 @@ SHARP_DEG = 30.0
 
 def sharp_edge_points(ground_truth: Mesh, *, spacing: float) -> NDArray[np.float64]:
     """Return points (n, 3), world frame, about ``spacing`` metres apart along the sharp edges of a mesh."""
+    return _sharp_edges(ground_truth, spacing)[0]
+
+
+def _sharp_edges(ground_truth: Mesh, spacing: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return points (n, 3) along the sharp edges, and the normals (n, 2, 3) of the triangles on both sides."""
     shape = trimesh.Trimesh(ground_truth.vertices.astype(np.float64), ground_truth.triangles, process=False)
     shape.merge_vertices(merge_tex=True, merge_norm=True)
     sharp = shape.face_adjacency_angles > np.radians(SHARP_DEG)
     starts, ends = np.moveaxis(shape.vertices[shape.face_adjacency_edges[sharp]], 1, 0)
+    normals = shape.face_normals[shape.face_adjacency[sharp]]
     lengths = np.linalg.norm(ends - starts, axis=1)
     if lengths.sum() == 0:
-        return np.empty((0, 3))
+        return np.empty((0, 3)), np.empty((0, 2, 3))
     along = np.concatenate([[0], np.cumsum(lengths)])
     places = np.arange(spacing / 2, along[-1], spacing)
     edges = np.searchsorted(along, places, side="right") - 1
     shares = ((places - along[edges]) / lengths[edges])[:, None]
-    return (1 - shares) * starts[edges] + shares * ends[edges]
+    return (1 - shares) * starts[edges] + shares * ends[edges], normals[edges]
 
 
 def seen_sharp_edges(
     ground_truth: Mesh, *, spacing: float, observed_by: Observers, device: Device
 ) -> NDArray[np.float64]:
-    """Return those of ``sharp_edge_points`` (n, 3) that the frames saw."""
-    points = sharp_edge_points(ground_truth, spacing=spacing)
+    """Return those of ``sharp_edge_points`` (n, 3) that the frames saw, on either side of the edge."""
+    points, normals = _sharp_edges(ground_truth, spacing)
     if len(points) == 0:
         return points
     seen = observed_points(
-        points, observed_by.dataset, observed_by.frame_ids, device=device, depth_max=observed_by.depth_max
+        np.concatenate([points, points]),
+        np.concatenate([normals[:, 0], normals[:, 1]]),
+        ground_truth,
+        observed_by.dataset,
+        observed_by.frame_ids,
+        device=device,
+        depth_max=observed_by.depth_max,
     )
-    return points[seen]
+    return points[seen.reshape(2, -1).any(axis=0)]
 
 
 def sharp_edge_error(mesh: Mesh, edges: NDArray[np.float64], *, device: Device) -> float | None:
