@@ -12,7 +12,7 @@ RenderedLayer = Literal["normals", "masks", "flow"]
 PRESETS: MappingProxyType[str, dict[str, Any]] = MappingProxyType(
     {
         "draft": {"samples": 1, "bounces": 1, "denoise": False, "denoise_guided": False},
-        "standard": {"samples": 2, "bounces": 3, "denoise": True, "denoise_guided": True},
+        "standard": {"samples": 1, "bounces": 3, "denoise": True, "denoise_guided": True},
         "high": {"samples": 32, "bounces": 8, "denoise": True, "denoise_guided": True},
     }
 )
