@@ -241,13 +241,13 @@ def cases_of_meshes(meshes, options, device):
                     yield case_of(wanted, shown, sees, query, view.world_from_camera, spoilt=spoilt)
 
 
-def cases_of_ycb_video(folder, device):
-    subjects = ycb_video_subjects(folder, voxel_size=None, device=device)
+def cases_of_ycb_video(options, device):
+    subjects = ycb_video_subjects(options.ycb_video, voxel_size=None, device=device)
     for subject in subjects:
         camera = subject.view(subject.queries[0]).camera
         wanted = model_of(subject.name, subject.model, camera, subject.points.points)
         for other in subjects:
-            for frame in other.queries:
+            for frame in other.queries[: options.right if other is subject else options.wrong]:
                 view = other.view(frame)
                 for sees, query in queries_of(view, wall=True):
                     yield case_of(wanted, other.name, sees, query, view.world_from_camera, spoilt=True)
@@ -334,7 +334,7 @@ def main():
     for case in cases_of_meshes(chosen_meshes(options), options, device):
         keep(case)
     if options.ycb_video is not None:
-        for case in cases_of_ycb_video(options.ycb_video, device):
+        for case in cases_of_ycb_video(options, device):
             keep(case)
     show(cases)
 
