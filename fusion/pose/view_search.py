@@ -25,9 +25,10 @@ SIMILAR_VIEWS = 8
 _POINTS, _ITERATIONS = 300, 10
 _LAST_POINTS, _LAST_ITERATIONS, _LAST_GATE = 1500, 6, 0.05
 
-_ALL_VIEWS = 128
+_ALL_VIEWS, _ALL_APART = 256, 0.15
+"""Half of the former: an alignment with a part of a scene comes right from no farther off."""
 _ALL_POINTS, _ALL_ITERATIONS, _ALL_ROW_STEP, _ALL_DIFFERENCE = 100, 8, 4, 0.06
-_KEPT = 8
+_KEPT = 6
 
 _AGAIN_POINTS, _AGAIN_ITERATIONS = 1000, 6
 _AGAIN_GATES = (0.1, 0.05)
@@ -61,7 +62,7 @@ def _sorted(poses: NDArray[np.float64], costs: NDArray[np.float64]) -> Alignment
 
 def align_with_similar_views(index: ViewIndex, query: SmallQuery) -> Alignments:
     """Align a query with the views whose patches are most like its own, each some way from the others."""
-    views = _by_similarity(index, query, most=SIMILAR_VIEWS)
+    views = _by_similarity(index, query, apart=APART, most=SIMILAR_VIEWS)
     guesses = _on_line_of_sight(index, views, query)
     found = register(index, views, query, guesses, points=_POINTS, iterations=_ITERATIONS)
     return _sorted(index.world_from_camera[views] @ found.view_from_query, found.costs)
@@ -73,7 +74,7 @@ def align_all_over(index: ViewIndex, query: SmallQuery, known: Alignments) -> Al
     Both with the middles of what is seen on one line of sight, as of an object somewhere in the image, and from the
     view's own pose, as in a scene of which both see a part.
     """
-    views = _by_similarity(index, query, most=_ALL_VIEWS)
+    views = _by_similarity(index, query, apart=_ALL_APART, most=_ALL_VIEWS)
     guesses = np.concatenate([_on_line_of_sight(index, views, query), np.tile(np.eye(4), (len(views), 1, 1))])
     views = np.tile(views, 2)
     found = register(
@@ -87,10 +88,9 @@ def align_all_over(index: ViewIndex, query: SmallQuery, known: Alignments) -> Al
         largest_difference=_ALL_DIFFERENCE,
     )
     every = _sorted(index.world_from_camera[views] @ found.view_from_query, found.costs)
-    poses = np.concatenate([known.poses, every.poses])
-    # Costs of the two kinds cannot be compared: the best of each are taken in turn.
-    turns = np.argsort(np.concatenate([np.arange(len(known.poses)), np.arange(len(every.poses)) + 0.5]))
-    poses = poses[turns]
+    # Costs of the two kinds cannot be compared: the best of each are taken in turn, first of those from nearer views.
+    turns = np.argsort(np.concatenate([np.arange(len(every.poses)), np.arange(len(known.poses)) + 0.5]))
+    poses = np.concatenate([every.poses, known.poses])[turns]
     return _compared(index, query, poses[first_apart(poses, apart=APART, depth=query.typical_depth, most=_KEPT)])
 
 
@@ -112,13 +112,13 @@ def _compared(index: ViewIndex, query: SmallQuery, poses: NDArray[np.float64]) -
     return _sorted(poses, found.costs)
 
 
-def _by_similarity(index: ViewIndex, query: SmallQuery, *, most: int) -> NDArray[np.int64]:
-    """Return the views whose patches are most like the query's, each some way from the others."""
+def _by_similarity(index: ViewIndex, query: SmallQuery, *, apart: float, most: int) -> NDArray[np.int64]:
+    """Return the views whose patches are most like the query's, each ``apart`` or more from the others."""
     image = query.depth_there.reshape((1, *query.depth.shape))
     patch = view_patches(index, image, query.middle[None], bands=query.depth.shape[0] if index.device.is_cuda else 1)
     order = np.argsort(patch_differences(index, patch), kind="stable")
     poses = index.world_from_camera[order]
-    return order[first_apart(poses, apart=APART, depth=query.typical_depth, most=most)]
+    return order[first_apart(poses, apart=apart, depth=query.typical_depth, most=most)]
 
 
 def _on_line_of_sight(index: ViewIndex, views: NDArray[np.int64], query: SmallQuery) -> NDArray[np.float64]:
