@@ -69,14 +69,12 @@ class SCANBACK_OT_look_through(_ViewOperator, bpy.types.Operator):  # noqa: N801
 
     @classmethod
     def description(cls, context: Any, properties: Any) -> str:
-        """Name the frame where that takes no search, and say where its picture is seen."""
+        """Name the frame where that takes no search."""
         target = next(text for name, _, text in TARGETS if name == properties.target)
         active = context.view_layer.objects.active
         if properties.target == "QUERY" and active is not None and RANKING in active:
             target = f"Frame {active[RANKING][0]}, which is nearest to query {active.get('query', '?')}"
-        return (
-            f"{target}, with its picture behind what is there. A rendered world hides what is behind: bring it to front"
-        )
+        return f"{target}, with its picture behind what is there"
 
     def look(self, context: Any) -> str:
         """Find the frame and place the camera."""

@@ -11,7 +11,6 @@ from ..operators.views import SCANBACK_OT_look_through, SCANBACK_OT_replay, SCAN
 from ..results.look_through import FRAME, RANKING, neighbour, view_camera
 from ..results.originals import is_shown, originals_of
 from ..results.scene_collection import MESH_PART, parts
-from .wrapped_text import draw_wrapped
 
 
 class SCANBACK_PT_reconstruction(bpy.types.Panel):  # type: ignore[misc]  # noqa: N801 - Blender's naming
@@ -30,7 +29,7 @@ class SCANBACK_PT_reconstruction(bpy.types.Panel):  # type: ignore[misc]  # noqa
         if collection is not None:
             self._draw_sides(context, collection)
             self._draw_look(context)
-            self._draw_view(context, collection)
+            self._draw_view(collection)
             self.layout.operator(SCANBACK_OT_replay.bl_idname, icon="PLAY")
         self.layout.operator(SCANBACK_OT_import_reconstruction.bl_idname, text="Import Folder", icon="IMPORT")
 
@@ -57,7 +56,7 @@ class SCANBACK_PT_reconstruction(bpy.types.Panel):  # type: ignore[misc]  # noqa
             button.enabled = can[target]
             button.operator(SCANBACK_OT_look_through.bl_idname, text=text).target = target
 
-    def _draw_view(self, context: Any, collection: bpy.types.Collection) -> None:
+    def _draw_view(self, collection: bpy.types.Collection) -> None:
         """Draw the steps from one frame to the next, and how the frame's picture is shown."""
         camera = view_camera(collection)
         if camera is None:
@@ -77,10 +76,6 @@ class SCANBACK_PT_reconstruction(bpy.types.Panel):  # type: ignore[misc]  # noqa
         picture = camera.data.background_images[0]
         column.prop(picture, "alpha", text="Picture", slider=True)
         column.row(align=True).prop(picture, "display_depth", expand=True)
-        if context.space_data.shading.type == "RENDERED" and picture.display_depth == "BACK":
-            draw_wrapped(
-                column, context, "A rendered world hides what is behind; bring the picture to front", icon="INFO"
-            )
 
 
 def register() -> None:

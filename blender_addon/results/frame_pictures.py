@@ -10,15 +10,17 @@ ALPHA = 0.5
 
 
 def show_behind(camera_data: bpy.types.Camera, picture: Path | None) -> None:
-    """Show an image file behind what a camera sees, in the place of what was shown there; None shows nothing."""
+    """Show an image file behind what a camera sees, in the place and the way of what was shown; None shows nothing."""
+    before = camera_data.background_images[0] if camera_data.background_images else None
+    alpha, depth = (ALPHA, "BACK") if before is None else (before.alpha, before.display_depth)
     camera_data.background_images.clear()
     camera_data.show_background_images = picture is not None
     if picture is None:
         return
     background = camera_data.background_images.new()
     background.image = load_picture(picture)
-    background.alpha = ALPHA
-    background.display_depth = "BACK"
+    background.alpha = alpha
+    background.display_depth = depth
     background.frame_method = "STRETCH"  # the picture spans the view exactly, whatever the pixels' aspect
 
 

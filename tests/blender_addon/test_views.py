@@ -71,9 +71,13 @@ def test_stepping_goes_through_the_frames_in_order_and_back(sphere_scan: Any, co
     tooltip = bpy.types.SCANBACK_OT_step_view.description
     step = type("Step", (), {"step": 1})
     assert tooltip(bpy.context, step) == f"From frame 4 to frame {ranking[1]}, the next nearest"
+    picture = camera.data.background_images[0]
+    picture.display_depth, picture.alpha = "FRONT", 0.75  # how it is shown is the user's
     for expected in ranking[1:3]:
         assert bpy.ops.scanback.step_view(step=1) == {"FINISHED"}
         assert camera["frame"] == expected
+        (picture,) = camera.data.background_images
+        assert (picture.display_depth, picture.alpha) == ("FRONT", 0.75)
     bpy.ops.scanback.step_view(step=-1)
     assert camera["frame"] == ranking[1]
     bpy.ops.scanback.step_view(step=-1)
@@ -87,6 +91,9 @@ def test_the_selection_and_a_query_lead_to_frames_too(sphere_scan: Any, collecti
         bpy.ops.scanback.look_through(target="SELECTION")
     marker = next(item for item in collection.all_objects if item.get("query") == 8 and item.type == "CAMERA")
     bpy.context.view_layer.objects.active = marker
+    query: Any = type("Query", (), {"target": "QUERY"})
+    tooltip = bpy.types.SCANBACK_OT_look_through.description(bpy.context, query)
+    assert tooltip == "Frame 7, which is nearest to query 8, with its picture behind what is there"
     assert bpy.ops.scanback.look_through(target="QUERY") == {"FINISHED"}
     camera = view_camera(collection)
     assert camera is not None
@@ -120,6 +127,12 @@ def test_a_dataset_alone_is_replayed(sphere_scan: Any) -> None:
     assert bpy.ops.scanback.import_dataset(directory=str(sphere_scan.dataset)) == {"FINISHED"}
     collection = bpy.context.scene.collection.children["Scanback dataset"]
     assert sorted(item.type for item in collection.all_objects) == ["CAMERA", "CURVE"]
+    assert bpy.ops.scanback.replay() == {"FINISHED"}
+    assert bpy.ops.scanback.look_through(target="FRAME", frame=5) == {"FINISHED"}
+    camera = view_camera(collection)
+    assert camera is not None
+    (background,) = camera.data.background_images
+    assert background.image.filepath.endswith("frame-000005.color.png")
     (sphere_scan.dataset / "frames" / "frame-000002.pose.txt").write_text("1 2 3")
     with pytest.raises(RuntimeError, match=r"frame-000002\.pose\.txt: no 4×4 pose"):
         bpy.ops.scanback.import_dataset(directory=str(sphere_scan.dataset))
