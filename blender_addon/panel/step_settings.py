@@ -8,7 +8,7 @@ from ..steps.automatic import known_truncation, known_voxel_size
 
 LABEL_SHARE = 0.4
 """Of the width: what Blender's own split gives labels."""
-PLACEHOLDERS = {"folder": "Automatic", "dataset": "The one scanned here", "device": "As in the preferences"}
+PLACEHOLDERS = {"folder": "Automatic", "dataset": "Scanned here", "device": "From preferences"}
 """What an empty setting stands for."""
 
 
