@@ -12,7 +12,18 @@ Mesher: TypeAlias = Literal["marching-cubes", "dual-contouring"]
 OracleName: TypeAlias = Literal["volume", "depth"]
 """What dual contouring asks: the volume's trilinear field, or the continuous one of the depth images."""
 
-_DUAL_CONTOURING = ("find_grid", "edge_points", "cell_points", "pins", "quads")
+_DUAL_CONTOURING = (
+    "find_grid",
+    "odd_cells",
+    "face_words",
+    "edge_points",
+    "cell_points",
+    "cells_from_faces",
+    "quad_corners",
+    "close_gaps",
+    "pins",
+    "quads",
+)
 KERNEL_MODULES: dict[Mesher, tuple[str, ...]] = {
     "marching-cubes": ("fusion.surface.cells", "fusion.surface.marching_cubes"),
     "dual-contouring": (

@@ -88,8 +88,7 @@ SOLVE_IN_CPP = (
     const int *ends = tables.ends.data + 5 * pattern;
     const int *edges = tables.edges.data + 12 * pattern;
     const int loops = tables.loop_counts.data[pattern];
-    const int first = grid.vertex_starts.data[cell];
-    const wp::uint64 code = grid.codes.data[cell];
+    const bool with_normals = normals.shape[0] > 0;
     for (int loop = 0; loop < loops; ++loop) {
         Planes all;
         float color[3] = {0.0f}, colored = 0.0f;
@@ -128,7 +127,7 @@ SOLVE_IN_CPP = (
             places.data[vertex] = wp::vec3(place[0], place[1], place[2]);
             points.data[vertex] = wp::vec3(voxel_size * (x + place[0]), voxel_size * (y + place[1]),
                                            voxel_size * (z + place[2]));
-            normals.data[vertex] = wp::vec3(inverse * n[0], inverse * n[1], inverse * n[2]);
+            if (with_normals) normals.data[vertex] = wp::vec3(inverse * n[0], inverse * n[1], inverse * n[2]);
             for (int channel = 0; channel < 3; ++channel)
                 colors.data[vertex].c[channel] = (unsigned char)(scale * color[channel] + 0.5f);
         }
@@ -139,9 +138,9 @@ SOLVE_IN_CPP = (
 
 @wp.func_native(SOLVE_IN_CPP)
 def solve_loops(
-    grid: DualGrid,
     tables: CellTables,
-    cell: int,
+    first: int,
+    code: wp.uint64,
     pattern: int,
     corners: Corners,
     planes: EdgePlanes,
@@ -154,4 +153,7 @@ def solve_loops(
     colors: wp.array(dtype=wp.vec3ub),
     normals: wp.array(dtype=wp.vec3),
 ) -> None:
-    """Write the vertices of a cell, whose lowest corner is (x, y, z) on the lattice."""
+    """Write a cell's vertices from number ``first`` on, by its ``code``; its lowest corner is (x, y, z) on the lattice.
+
+    Normals are left out where there is no room for them.
+    """

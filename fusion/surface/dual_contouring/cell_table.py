@@ -20,6 +20,8 @@ from fusion.surface.marching_cubes_table import CORNERS, EDGE_CORNERS, surface_l
 MOST_LOOPS = 4
 NO_VERTEX = 15
 """Stands in a cell's code for an edge without a vertex."""
+COUNT_SHIFT = 48
+"""At which bit of a code the number of the cell's vertices stands."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,7 +31,8 @@ class CellTable:
     ``loop_counts`` (256,); ``loop_ends`` (256, 4) where each loop ends among ``edges`` (256, 12), which has them one
     after the other, −1 beyond; ``curves`` (256, 12) is 4·face + 2·curve, along which the loop goes on from an edge to
     the next, + 1 where it goes there from the curve's second end to its first: the ends are in the order of face edges.
-    ``codes`` (256,) uint64 has at bits 4·edge … the number of the loop that an edge is in, or NO_VERTEX.
+    ``codes`` (256,) uint64 has at bits 4·edge … the number of the loop that an edge is in, or NO_VERTEX, and above
+    these, from COUNT_SHIFT on, the number of loops.
     """
 
     loop_counts: NDArray[np.int32]
@@ -79,6 +82,7 @@ def cell_table() -> CellTable:
             loop_ends[case, number:] = end
         loop_counts[case] = len(loops)
         codes[case] = sum(number << 4 * edge for edge, number in enumerate(number_of_edge))
+        codes[case] |= np.uint64(len(loops) << COUNT_SHIFT)
     return CellTable(loop_counts=loop_counts, loop_ends=loop_ends, edges=edges, curves=curves, codes=codes)
 
 

@@ -9,11 +9,13 @@ import numpy as np
 
 from fusion.devices import Kernel
 from fusion.surface.dual_contouring.cell_points import cell_points
+from fusion.surface.dual_contouring.close_gaps import close_gaps
 from fusion.surface.dual_contouring.edge_points import edge_points, search_kernel
 from fusion.surface.dual_contouring.face_points import face_kernel, face_points
 from fusion.surface.dual_contouring.find_grid import find_grid
 from fusion.surface.dual_contouring.oracle import Oracle
 from fusion.surface.dual_contouring.pins import place_pins
+from fusion.surface.dual_contouring.quad_corners import quad_corners
 from fusion.surface.dual_contouring.quads import cut_quads
 from fusion.surface.dual_contouring.signs import sign_kernel
 from fusion.surface.dual_contouring.vertices import Vertices
@@ -36,9 +38,13 @@ def dual_contouring(
     grid, counts = find_grid(volume, oracle, min_weight=min_weight)
     along = edge_points(volume, grid, counts, oracle)
     curve_points = None if oracle is None else face_points(volume, grid, counts, oracle, along)
-    places, cells = cell_points(volume, grid, counts, along, curve_points)
-    pins = place_pins(volume, grid, counts, along, curve_points, cells)
-    cut = cut_quads(volume, grid, counts, along, places, cells)
+    places, cells = cell_points(volume, grid, counts, along, curve_points, normals=normals)
+    corners, gaps = quad_corners(grid, counts, along, places, gaps=oracle is None)
+    if oracle is None:
+        close_gaps(volume, grid, gaps, places, cells)
+    del gaps  # its memory serves what follows
+    pins = place_pins(volume, grid, along, curve_points, places, cells, normals=normals)
+    cut = cut_quads(volume, grid, corners, along, places, cells, pins=len(pins.points), normals=normals)
     return _mesh([cells, pins, cut.fans], cut.triangles.numpy(), normals=normals)
 
 

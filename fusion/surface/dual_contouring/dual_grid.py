@@ -4,18 +4,20 @@ An edge is *complete* where all four cells around it were seen: only there is a 
 the border of what was observed. A loop whose edges are not all complete falls apart into arcs, and each arc has a
 vertex of its own: no vertex touches the border twice.
 
-A face is *pinned* where it is ambiguous, or where a cell beside it has several loops. The surface then passes through
-vertices on the face, and each loop of such a cell stays within the hull of the edges that it crosses. These hulls have
-no inner point in common (a test goes through all cases), so sheets that share a cell do not meet.
+Most cells have one vertex, for all of their crossed edges; those that have not are *odd*. So vertices are numbered by
+counting bits, and only odd cells are written down one by one.
 """
 
 from dataclasses import dataclass
 
 import warp as wp
 
+from fusion.surface.dual_contouring.cell_table import NO_VERTEX
 from fusion.surface.layers import NONE, Cells, below
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+
+_NO_VERTEX = wp.constant(NO_VERTEX)
 
 
 @wp.struct
@@ -23,12 +25,17 @@ class DualGrid:
     """The ``cells`` (``starts``: crossed edges and active cells before a layer), and what is found from them.
 
     By layers: ``complete_x``, ``…_y``, ``…_z`` (n,) the voxels whose edge is complete; ``several`` (n,) the active
-    cells with several loops; across each axis ``faces`` (n, 3) the voxels whose face is crossed beside an active cell,
-    ``ambiguous`` (n, 3) those crossed twice, ``pins`` (2 n, 3) those with a vertex on curve 0 (row 2·layer) and 1;
-    ``curve_starts`` (n + 1,) how many curves and pins come before, ``quad_starts`` (n + 1,) how many complete edges.
+    cells with several loops, ``twice`` (n,) those with an ambiguous face on their low side, and ``odd`` (n,) those that
+    are odd; ``vertex_starts`` (n + 1,) how many cells' vertices
+    and odd cells come before, ``quad_starts`` (n + 1,) how many complete edges.
 
-    By active cells: ``cell_at`` (m,) 64·layer + bit; ``codes`` (m,) at bits 4·edge … which of the cell's vertices an
-    edge belongs to, NO_VERTEX for none; ``vertex_starts`` (m + 1,) how many vertices come before.
+    By odd cells: ``codes`` (k,) as in ``CellTable``; ``more`` (k,) how many more vertices the layer's odd cells have,
+    up to this one, than one each.
+
+    By layers and axes, of the faces across an axis from voxels: ``pins`` (2 n, 3) those with a vertex on curve 0 (row
+    2·layer) and 1, and ``pin_starts`` (n + 1,) how many such vertices come before; rows of layers without any are not
+    set. Where an oracle is asked, ``faces`` (n, 3) those that are crossed beside an active cell, ``ambiguous`` (n, 3)
+    those crossed twice, ``curve_starts`` (n + 1,) how many curves come before.
     """
 
     cells: Cells
@@ -36,39 +43,63 @@ class DualGrid:
     complete_y: wp.array(dtype=wp.uint64)
     complete_z: wp.array(dtype=wp.uint64)
     several: wp.array(dtype=wp.uint64)
+    twice: wp.array(dtype=wp.uint64)
+    odd: wp.array(dtype=wp.uint64)
+    vertex_starts: wp.array(dtype=wp.vec2i)
+    quad_starts: wp.array(dtype=int)
+    codes: wp.array(dtype=wp.uint64)
+    more: wp.array(dtype=int)
+    pins: wp.array2d(dtype=wp.uint64)
+    pin_starts: wp.array(dtype=int)
     faces: wp.array2d(dtype=wp.uint64)
     ambiguous: wp.array2d(dtype=wp.uint64)
-    pins: wp.array2d(dtype=wp.uint64)
-    curve_starts: wp.array(dtype=wp.vec2i)
-    quad_starts: wp.array(dtype=int)
-    cell_at: wp.array(dtype=int)
-    codes: wp.array(dtype=wp.uint64)
-    vertex_starts: wp.array(dtype=int)
+    curve_starts: wp.array(dtype=int)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Counts:
-    """How many of each there are; ``vertices`` are those within cells, ``pins`` those on faces."""
+    """How many of each there are; ``vertices`` are those within cells."""
 
     edges: int
-    cells: int
-    curves: int
-    pins: int
-    quads: int
     vertices: int
+    quads: int
+    curves: int
 
 
 @wp.func
-def cell_number(grid: DualGrid, layer: int, bit: int) -> int:
-    """Return the number of an active cell."""
-    return grid.cells.starts[layer][1] + wp.bit_count(grid.cells.active[layer] & below(bit))
+def first_vertex(grid: DualGrid, layer: int, bit: int) -> int:
+    """Return the number of an active cell's first vertex."""
+    before = below(bit)
+    number = grid.vertex_starts[layer][0] + wp.bit_count(grid.cells.active[layer] & before)
+    odd = grid.odd[layer] & before
+    if odd != NONE:
+        number += grid.more[grid.vertex_starts[layer][1] + wp.bit_count(odd) - 1]
+    return number
+
+
+@wp.func
+def vertex_of_edge(grid: DualGrid, layer: int, bit: int, edge: int) -> int:
+    """Return the number of the vertex that a cell has for one of its edges, −1 for none."""
+    if layer < 0:
+        return -1
+    one = wp.uint64(1) << wp.uint64(bit)
+    if (grid.cells.active[layer] & one) == NONE:
+        return -1
+    first = first_vertex(grid, layer, bit)
+    if (grid.odd[layer] & one) == NONE:
+        return first
+    code = grid.codes[grid.vertex_starts[layer][1] + wp.bit_count(grid.odd[layer] & below(bit))]
+    own = int((code >> wp.uint64(4 * edge)) & wp.uint64(15))
+    if own == _NO_VERTEX:
+        return -1
+    return first + own
 
 
 @wp.func
 def curve_number(grid: DualGrid, layer: int, axis: int, bit: int) -> int:
     """Return the number of the first curve through a crossed face; a second one follows it."""
     before = below(bit)
-    number = grid.curve_starts[layer][0] + wp.bit_count(grid.faces[layer, axis] & before)
+    number = grid.curve_starts[layer] + wp.bit_count(grid.faces[layer, axis] & before)
     number += wp.bit_count(grid.ambiguous[layer, axis] & before)
     for other in range(axis):
         number += wp.bit_count(grid.faces[layer, other]) + wp.bit_count(grid.ambiguous[layer, other])
@@ -77,15 +108,17 @@ def curve_number(grid: DualGrid, layer: int, axis: int, bit: int) -> int:
 
 @wp.func
 def pin_number(grid: DualGrid, layer: int, axis: int, bit: int, curve: int) -> int:
-    """Return the number of the vertex on a curve through a pinned face, −1 where it has none."""
+    """Return the number of the vertex on a curve through a face, −1 where it has none."""
+    if grid.pin_starts[layer] == grid.pin_starts[layer + 1]:
+        return -1
     one = wp.uint64(1) << wp.uint64(bit)
     if (grid.pins[2 * layer + curve, axis] & one) == NONE:
         return -1
     before = below(bit)
+    number = grid.pin_starts[layer] + wp.bit_count(grid.pins[2 * layer + 1, axis] & before)
     if curve == 1:
-        before |= one & grid.pins[2 * layer, axis]
-    number = grid.curve_starts[layer][1] + wp.bit_count(grid.pins[2 * layer, axis] & before)
-    number += wp.bit_count(grid.pins[2 * layer + 1, axis] & below(bit))
+        before |= one
+    number += wp.bit_count(grid.pins[2 * layer, axis] & before)
     for other in range(axis):
         number += wp.bit_count(grid.pins[2 * layer, other]) + wp.bit_count(grid.pins[2 * layer + 1, other])
     return number

@@ -59,9 +59,18 @@ def _cross_edges(first: int, cells: Cells, voxels: Voxels, along: wp.array(dtype
         cross_edges(cells, layer >> 3, layer & 7, voxels, edge, along)
 
 
+@wp.func
+def guesses(cells: Cells, voxels: Voxels, slot: int, voxel: wp.vec3i, axis: int, voxels_a_truncation: float) -> wp.vec2:
+    """Return how far off the surface may be at both ends of an edge, in voxels: what the volume holds tells."""
+    on = voxel + step_along(axis)
+    a = wp.abs(distance_of(voxels, voxel_of(cells, slot, voxel[0], voxel[1], voxel[2])))
+    b = wp.abs(distance_of(voxels, voxel_of(cells, slot, on[0], on[1], on[2])))
+    return wp.vec2(wp.max(voxels_a_truncation * a, LEAST_GUESS), wp.max(voxels_a_truncation * b, LEAST_GUESS))
+
+
 @cache
-def search_kernel(value: Any, state_type: Any) -> Kernel:
-    """Return the kernel that asks an oracle where the surface crosses the edges; a thread takes a layer."""
+def _searcher(value: Any, state_type: Any) -> Any:
+    """Return the function that asks an oracle where the surface crosses an edge."""
 
     @wp.func
     def search(state: state_type, number: int, start: wp.vec3, way: wp.vec3, at_start: float, at_end: float) -> float:
@@ -89,6 +98,14 @@ def search_kernel(value: Any, state_type: Any) -> Kernel:
                 return s
         return 0.5 * (low + high)
 
+    return search
+
+
+@cache
+def search_kernel(value: Any, state_type: Any) -> Kernel:
+    """Return the kernel that asks an oracle where the surface crosses the edges; a thread takes a layer."""
+    search = _searcher(value, state_type)
+
     @wp.kernel(module="unique", enable_backward=False, module_options={"max_unroll": 1})
     def search_edges(
         first: int,
@@ -105,7 +122,6 @@ def search_kernel(value: Any, state_type: Any) -> Kernel:
         if edge == cells.starts[layer + 1][0]:
             return
         slot = layer >> 3
-        z = layer & 7
         number = number_of(cells, slot)
         for axis in range(3):
             step = step_along(axis)
@@ -113,17 +129,12 @@ def search_kernel(value: Any, state_type: Any) -> Kernel:
             left = cells.edges[layer, axis]
             while left != NONE:
                 bit = lowest_bit(left)
-                x = bit & 7
-                y = bit >> 3
-                corner = 8 * blocks[number] + wp.vec3i(x, y, z)
-                inside = ((cells.inside[layer] >> wp.uint64(bit)) & wp.uint64(1)) != NONE
-                # What the volume holds tells how far off the surface may be.
-                a = wp.abs(distance_of(voxels, voxel_of(cells, slot, x, y, z)))
-                b = wp.abs(distance_of(voxels, voxel_of(cells, slot, x + step[0], y + step[1], z + step[2])))
-                a = wp.max(voxels_a_truncation * a, LEAST_GUESS)
-                b = wp.max(voxels_a_truncation * b, LEAST_GUESS)
+                voxel = wp.vec3i(bit & 7, bit >> 3, layer & 7)
+                corner = 8 * blocks[number] + voxel
                 start = wp.vec3(float(corner[0]), float(corner[1]), float(corner[2]))
-                found = search(state, number, start, way, wp.where(inside, -a, a), wp.where(inside, b, -b))
+                guess = guesses(cells, voxels, slot, voxel, axis, voxels_a_truncation)
+                sign = wp.where(((cells.inside[layer] >> wp.uint64(bit)) & wp.uint64(1)) != NONE, -1.0, 1.0)
+                found = search(state, number, start, way, sign * guess[0], -sign * guess[1])
                 along[edge] = wp.clamp(found, _LOWEST, _HIGHEST)
                 edge += 1
                 left = left & (left - wp.uint64(1))

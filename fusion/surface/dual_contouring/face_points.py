@@ -187,8 +187,8 @@ def face_kernel(value: Any, state_type: Any) -> Kernel:
         points: wp.array(dtype=wp.vec4),
     ) -> None:
         layer = wp.tid() + first
-        curve = grid.curve_starts[layer][0]
-        if curve == grid.curve_starts[layer + 1][0]:
+        curve = grid.curve_starts[layer]
+        if curve == grid.curve_starts[layer + 1]:
             return
         slot = layer >> 3
         number = number_of(grid.cells, slot)

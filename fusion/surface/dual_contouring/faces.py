@@ -70,6 +70,23 @@ def outside_corner(pattern: int, edge: int) -> wp.vec2:
 
 
 @wp.func
+def edge_in_cell(axis: int, edge: int, beyond: bool) -> int:
+    """Return which edge of a cell a face's edge is, for the face across ``axis`` at its low or, ``beyond``, high side.
+
+    Edge 4·axis + k has k = 1 or 3 on the high side of the first other axis, 2 or 3 on that of the second.
+    """
+    u = face_u(axis)
+    v = face_v(axis)
+    along = wp.where(edge < 2, u, v)
+    across = wp.where(edge < 2, v, u)
+    on_across = edge & 1
+    on_axis = wp.where(beyond, 1, 0)
+    if across < axis:
+        return 4 * along + on_across + 2 * on_axis
+    return 4 * along + on_axis + 2 * on_across
+
+
+@wp.func
 def edge_number_on_face(grid: DualGrid, slot: int, voxel: wp.vec3i, axis: int, edge: int) -> int:
     """Return the number of the lattice edge that is a face's edge, for a face across ``axis`` from a voxel."""
     u = face_u(axis)

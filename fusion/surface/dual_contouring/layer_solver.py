@@ -3,17 +3,14 @@
 import warp as wp
 
 from fusion.surface.dual_contouring.cell_solver import CORNERS_IN_CPP, SOLVE_IN_CPP, TRILINEAR_IN_CPP
-from fusion.surface.dual_contouring.cell_table import CellTables
+from fusion.surface.dual_contouring.cell_table import COUNT_SHIFT, CellTables
 from fusion.surface.dual_contouring.dual_grid import DualGrid
 from fusion.surface.dual_contouring.lanes import LANES_IN_CPP
-from fusion.surface.dual_contouring.qef import INSET, QEF_IN_CPP
+from fusion.surface.dual_contouring.qef import INSET
 from fusion.surface.dual_contouring.rows import ROWS_IN_CPP
 from fusion.volume.voxels import Voxels
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
-
-FLAT = 0.97
-"""The mean squared cosine of a cell's normals to their mean from which on they face one way: 10° around it."""
 
 # Most cells have one loop. Their corners are gathered cell by cell; then all lanes go through all twelve edges, those
 # that are not crossed counting nothing, without a branch.
@@ -58,112 +55,95 @@ _GATHER_IN_CPP = """
     };
 """
 
-_ONTO_FIELD_IN_CPP = (
-    f"constexpr float FLAT = {FLAT}f, LOW = {INSET}f, HIGH = 1.0f - {INSET}f;"
-    + """
-    // Where a cell's planes face one way the surface is smooth, and how the planes bulge over it is not its shape: one
-    // step along the gradient leads back to where the trilinear field vanishes.
-    auto onto_field = [&](const Planes &all, V size, V *place) {
-        const V none = 0.0f, *n = all.normal;
-        const V along = n[0] * (all.xx * n[0] + 2.0f * (all.xy * n[1] + all.xz * n[2]))
-                        + n[1] * (all.yy * n[1] + 2.0f * all.yz * n[2]) + n[2] * all.zz * n[2];
-        auto between = [](V a, V b, V t) { return a + t * (b - a); };
-        V x[4], y[4];
-        for (int i = 0; i < 4; ++i) x[i] = between(distance[2 * i], distance[2 * i + 1], place[0]);
-        for (int i = 0; i < 2; ++i) y[i] = between(x[2 * i], x[2 * i + 1], place[1]);
-        const V value = between(y[0], y[1], place[2]);
-        const V rise_y = between(x[1] - x[0], x[3] - x[2], place[2]), rise_z = y[1] - y[0];
-        const V low_x = between(distance[1] - distance[0], distance[3] - distance[2], place[1]);
-        const V high_x = between(distance[5] - distance[4], distance[7] - distance[6], place[1]);
-        const V rise_x = between(low_x, high_x, place[2]);
-        const V steep = rise_x * rise_x + rise_y * rise_y + rise_z * rise_z;
-        const auto moves = (along > FLAT * all.planes * size) & (steep > none);
-        const V step = moves ? value / (moves ? steep : (V)1.0f) : none;
-        const V rise[3] = {rise_x, rise_y, rise_z};
-        for (int i = 0; i < 3; ++i) {
-            const V moved = place[i] - step * rise[i];
-            place[i] = moved < LOW ? (V)LOW : moved > HIGH ? (V)HIGH : moved;
-        }
+_CROSSINGS_IN_CPP = """
+    auto low_of = [](int edge) {
+        const int i = edge & 3;
+        return edge < 4 ? i << 1 : edge < 8 ? (i & 1) | ((i & 2) << 1) : i;
     };
-"""
-)
-
-_SOLVE_LANES_IN_CPP = """
-    int filled = 0, bits[LANES], numbers[LANES];
-    auto solve_lanes = [&]() {
+    // By edge how much the field rises along it, whether it is crossed (1 or 0) and where, in voxels; and the points'
+    // centroid.
+    V rise[12], on[12], along[12], centroid[3];
+    auto find_crossings = [&]() {
         const V none = 0.0f, one = 1.0f;
-        if (packed) unpack();
-        // How much the field rises along each edge, 4·axis + a number made of the corner's other two coordinates.
-        auto low_of = [](int edge) {
-            const int i = edge & 3;
-            return edge < 4 ? i << 1 : edge < 8 ? (i & 1) | ((i & 2) << 1) : i;
-        };
-        auto edge_at = [](int axis, int corner) {
-            const int x = corner & 1, y = (corner >> 1) & 1, z = corner >> 2;
-            return 4 * axis + (axis == 0 ? y + 2 * z : axis == 1 ? x + 2 * z : x + 2 * y);
-        };
-        V rise[12];
-        #pragma unroll
-        for (int edge = 0; edge < 12; ++edge)
-            rise[edge] = distance[low_of(edge) + (1 << (edge >> 2))] - distance[low_of(edge)];
-        Planes all;
-        V shares[8];
-        for (int corner = 0; corner < 8; ++corner) shares[corner] = none;
-        V edges_with_color = none;
+        V count = none;
+        for (int i = 0; i < 3; ++i) centroid[i] = none;
         #pragma unroll
         for (int edge = 0; edge < 12; ++edge) {
             const int axis = edge >> 2, low = low_of(edge), high = low + (1 << axis);
-            const V on = (distance[low] < none) != (distance[high] < none) ? one : none;
-            V along = distance[low] / (on > none ? -rise[edge] : one);
-            along = along < LOWEST ? (V)LOWEST : along > HIGHEST ? (V)HIGHEST : along;
-            // The trilinear field's gradient: along the other axes it rises as along the edges at both ends.
-            V gradient[3];
-            for (int i = 0; i < 3; ++i) {
-                const V at_low = rise[edge_at(i, low)], at_high = rise[edge_at(i, high)];
-                gradient[i] = i == axis ? rise[edge] : at_low + along * (at_high - at_low);
+            rise[edge] = distance[high] - distance[low];
+            on[edge] = (distance[low] < none) != (distance[high] < none) ? one : none;
+            const V at = distance[low] / (on[edge] > none ? -rise[edge] : one);
+            along[edge] = at < LOWEST ? (V)LOWEST : at > HIGHEST ? (V)HIGHEST : at;
+            for (int i = 0; i < 3; ++i)
+                if (i == axis) centroid[i] += on[edge] * along[edge];
+                else if ((low >> i) & 1) centroid[i] += on[edge];
+            count += on[edge];
+        }
+        const V share = one / count;
+        for (int i = 0; i < 3; ++i) centroid[i] = share * centroid[i];
+    };
+"""
+
+_COLORS_IN_CPP = """
+    // The crossings' average colour, each between its edge's ends, one without colour left out.
+    auto mix_colors = [&](V *color) {
+        const V none = 0.0f, one = 1.0f;
+        V shares[8], edges_with_color = none, least = one;
+        for (int corner = 0; corner < 8; ++corner) {
+            shares[corner] = none;
+            least = colored[corner] < least ? colored[corner] : least;
+        }
+        bool all_colored = true;
+        for (int lane = 0; lane < LANES; ++lane) all_colored &= lanes_of(least)[lane] > 0.0f;
+        #pragma unroll
+        for (int edge = 0; edge < 12; ++edge) {
+            const int low = low_of(edge), high = low + (1 << (edge >> 2));
+            V share_low = one - along[edge], share_high = along[edge], part = on[edge];
+            if (!all_colored) {
+                share_low *= colored[low];
+                share_high *= colored[high];
+                const V share = share_low + share_high;
+                part = share > none ? part / (share > none ? share : one) : none;
+                edges_with_color += share > none ? on[edge] : none;
+            } else {
+                edges_with_color += on[edge];
             }
-            add_plane(all, on, axis, low, along, gradient);
-            // Between the edge's ends, one without colour left out.
-            const V share_low = (one - along) * colored[low], share_high = along * colored[high];
-            const V share = share_low + share_high, some = share > none ? on : none;
-            const V part = some / (share > none ? share : one);
             shares[low] += part * share_low;
             shares[high] += part * share_high;
-            edges_with_color += some;
         }
-        V color[3] = {none, none, none}, place[3];
+        const V scale = one / (edges_with_color > none ? edges_with_color : one);
+        for (int channel = 0; channel < 3; ++channel) color[channel] = none;
         for (int corner = 0; corner < 8; ++corner) {
             color[0] += shares[corner] * red[corner];
             color[1] += shares[corner] * green[corner];
             color[2] += shares[corner] * blue[corner];
         }
-        const V scale = one / (edges_with_color > none ? edges_with_color : one);
         for (int channel = 0; channel < 3; ++channel) color[channel] = scale * color[channel] + 0.5f;
-        V *n = all.normal;
-        const V size = n[0] * n[0] + n[1] * n[1] + n[2] * n[2];
-        const Equations equations = equations_of(all);
-        solve(equations, place);
-        for (int lane = 0; lane < filled; ++lane) {
-            float at[3];
-            for (int i = 0; i < 3; ++i) at[i] = lanes_of(place[i])[lane];
-            keep_within_cell(equations, lane, at);
-            for (int i = 0; i < 3; ++i) lanes_of(place[i])[lane] = at[i];
+    };
+"""
+
+_SOLVE_LANES_IN_CPP = """
+    auto solve_lanes = [&]() {
+        if (packed) unpack();
+        find_crossings();
+        V color[3], normal[3], square = 0.0f;
+        mix_colors(color);
+        if (with_normals) for (int axis = 0; axis < 3; ++axis) {
+            const V *r = rise + 4 * axis;
+            normal[axis] = (r[0] + r[1]) + (r[2] + r[3]);
+            square += normal[axis] * normal[axis];
         }
-        onto_field(all, size, place);
         for (int lane = 0; lane < filled; ++lane) {
-            float at[3], normal[3];
-            const float length = sqrtf(lanes_of(size)[lane]), inverse = length > 0.0f ? 1.0f / length : 0.0f;
-            for (int i = 0; i < 3; ++i) at[i] = lanes_of(place[i])[lane], normal[i] = inverse * lanes_of(n[i])[lane];
-            const float x = block_x + (bits[lane] & 7), y = block_y + (bits[lane] >> 3), z = block_z;
+            const float size = with_normals ? sqrtf(lanes_of(square)[lane]) : 0.0f;
+            const float inverse = size > 0.0f ? 1.0f / size : 0.0f;
             // One vertex, but at the border of what was observed one for each arc of the loop.
-            const int end = grid.vertex_starts.data[numbers[lane] + 1];
-            for (int vertex = grid.vertex_starts.data[numbers[lane]]; vertex < end; ++vertex) {
-                places.data[vertex] = wp::vec3(at[0], at[1], at[2]);
-                points.data[vertex] = wp::vec3(voxel_size * (x + at[0]), voxel_size * (y + at[1]),
-                                               voxel_size * (z + at[2]));
-                normals.data[vertex] = wp::vec3(normal[0], normal[1], normal[2]);
-                for (int channel = 0; channel < 3; ++channel)
-                    colors.data[vertex].c[channel] = (unsigned char)lanes_of(color[channel])[lane];
+            const int end = numbers[lane] + counts[lane];
+            for (int vertex = numbers[lane]; vertex < end; ++vertex) {
+                for (int i = 0; i < 3; ++i) {
+                    places.data[vertex][i] = lanes_of(centroid[i])[lane];
+                    if (with_normals) normals.data[vertex][i] = inverse * lanes_of(normal[i])[lane];
+                    colors.data[vertex].c[i] = (unsigned char)lanes_of(color[i])[lane];
+                }
             }
         }
         filled = 0;
@@ -171,7 +151,7 @@ _SOLVE_LANES_IN_CPP = """
 """
 
 _SOLVE_SEVERAL_LOOPS_IN_CPP = (
-    "auto solve_several_loops = [&](int cell, int x, int y) {\n"
+    "auto solve_several_loops = [&](int first, wp::uint64 code, int x, int y) {\n"
     f"const auto corners = [&]() {{ {CORNERS_IN_CPP} }}();\n"
     f"const auto planes = [&]() {{ {TRILINEAR_IN_CPP} }}();\n"
     """
@@ -186,24 +166,31 @@ _SOLVE_SEVERAL_LOOPS_IN_CPP = (
 _SOLVE_LAYER_IN_CPP = (
     _SOLVE_SEVERAL_LOOPS_IN_CPP
     + LANES_IN_CPP
-    + QEF_IN_CPP
-    + "const auto &cells = grid.cells;"
+    + f"constexpr float LOWEST = {INSET}f, HIGHEST = 1.0f - {INSET}f; constexpr int COUNT_SHIFT = {COUNT_SHIFT};"
+    + "const auto &cells = grid.cells; const bool with_normals = normals.shape[0] > 0;"
     + ROWS_IN_CPP
+    + "int filled = 0, bits[LANES], numbers[LANES], counts[LANES];"
     + _GATHER_IN_CPP
-    + _ONTO_FIELD_IN_CPP
+    + _CROSSINGS_IN_CPP
+    + _COLORS_IN_CPP
     + _SOLVE_LANES_IN_CPP
     + """
-    const wp::uint64 several = grid.several.data[8 * slot + z];
-    for (wp::uint64 left = active; left != 0; left &= left - 1, ++cell) {
+    const wp::uint64 several = grid.several.data[8 * slot + z], odd = grid.odd.data[8 * slot + z];
+    for (wp::uint64 left = active; left != 0; left &= left - 1) {
         const int bit = wp::bit_count((left - 1) & ~left);
+        const bool is_odd = (odd >> bit) & 1;
+        const wp::uint64 code = is_odd ? grid.codes.data[odd_cell++] : 0;
+        const int count = is_odd ? (int)(code >> COUNT_SHIFT) : 1;
         if ((several >> bit) & 1) {
-            solve_several_loops(cell, bit & 7, bit >> 3);
-            continue;
+            solve_several_loops(vertex, code, bit & 7, bit >> 3);
+        } else {
+            gather(filled, bit);
+            bits[filled] = bit;
+            numbers[filled] = vertex;
+            counts[filled++] = count;
+            if (filled == LANES) solve_lanes();
         }
-        gather(filled, bit);
-        bits[filled] = bit;
-        numbers[filled++] = cell;
-        if (filled == LANES) solve_lanes();
+        vertex += count;
     }
     if (filled > 0) {
         for (int lane = filled; lane < LANES; ++lane) gather(lane, bits[0]);  // numbers that do no harm
@@ -220,7 +207,8 @@ def solve_layer(
     slot: int,
     z: int,
     active: wp.uint64,
-    cell: int,
+    vertex: int,
+    odd_cell: int,
     block_x: float,
     block_y: float,
     block_z: float,
@@ -231,8 +219,9 @@ def solve_layer(
     colors: wp.array(dtype=wp.vec3ub),
     normals: wp.array(dtype=wp.vec3),
 ) -> None:
-    """Write the vertices of the ``active`` cells of a layer, from number ``cell`` on.
+    """Write the vertices of the ``active`` cells of a layer, from numbers ``vertex`` and ``odd_cell`` on.
 
-    The layer begins at ``block_x`` … on the lattice. Where the trilinear field crosses a cell's edges, its gradient is
-    the surface's normal.
+    The layer begins at ``block_x`` … on the lattice. A cell's only vertex begins at the centroid of its crossings, and
+    its normal is the trilinear field's mean gradient; its point is written later (``close_gaps``). Normals are left out
+    where there is no room for them.
     """

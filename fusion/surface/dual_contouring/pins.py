@@ -1,17 +1,24 @@
-"""Vertices on faces: where the surface has to pass through a pinned face so that sheets keep apart.
+"""Vertices on faces: where the surface has to pass through a face so that sheets keep apart.
 
-Such a vertex lies within the hull of the two edges that its curve joins: beyond the line between their far ends, where
-these meet in a corner. The 2-D point is taken where it is there, else the middle between the 1-D points, which always
-is.
+Where cells have one loop and faces are not ambiguous nothing can go wrong. Elsewhere each loop's part of its cell is
+the hull of the edges that it crosses: these hulls have no inner point in common (a test goes through all cases). A
+vertex lies in its loop's hull, and the straight line from it to the next cell's does not leave the hulls of both where
+it passes the face within the hull of the two edges that the curve there joins: beyond the line between their far ends,
+where these meet in a corner. Where it does not, the curve is *pinned*: a vertex is put on the face within that hull.
+Two curves on a face have hulls without a common point, so that never both of them go along the same line.
+
+The vertex is the 2-D point where that is in the hull, else the middle between the 1-D points, which always is.
 """
 
 import warp as wp
+from warp.utils import array_scan
 
 from fusion.devices import launch_in_slabs
-from fusion.surface.dual_contouring.cell_table import NO_VERTEX
-from fusion.surface.dual_contouring.dual_grid import Counts, DualGrid, cell_number, curve_number, pin_number, place_of
+from fusion.surface.dual_contouring.dual_grid import DualGrid, curve_number, pin_number, place_of, vertex_of_edge
+from fusion.surface.dual_contouring.face_words import delicate_curves, layer_words, may_be_delicate
 from fusion.surface.dual_contouring.faces import (
     curve_edges,
+    edge_in_cell,
     edge_number_on_face,
     face_u,
     face_v,
@@ -21,13 +28,12 @@ from fusion.surface.dual_contouring.faces import (
 )
 from fusion.surface.dual_contouring.qef import INSET
 from fusion.surface.dual_contouring.vertices import Vertices, set_vertex_between
-from fusion.surface.layers import NONE, lowest_bit, number_of, step_along
+from fusion.surface.layers import NONE, launch_over_layers, lowest_bit, number_of, step_along
 from fusion.volume.tsdf_volume import Volume
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 _INSET = wp.constant(INSET)
-_NO_VERTEX = wp.constant(NO_VERTEX)
 
 
 @wp.func
@@ -57,39 +63,8 @@ def meeting_point(a: wp.vec2, b: wp.vec2, leads: wp.vec4) -> wp.vec2:
 
 
 @wp.func
-def edge_in_cell(axis: int, edge: int, beyond: bool) -> int:
-    """Return which edge of a cell a face's edge is, for the face across ``axis`` at its low or, ``beyond``, high side.
-
-    Edge 4·axis + k has k = 1 or 3 on the high side of the first other axis, 2 or 3 on that of the second.
-    """
-    u = face_u(axis)
-    v = face_v(axis)
-    along = wp.where(edge < 2, u, v)
-    across = wp.where(edge < 2, v, u)
-    on_across = edge & 1
-    on_axis = wp.where(beyond, 1, 0)
-    if across < axis:
-        return 4 * along + on_across + 2 * on_axis
-    return 4 * along + on_axis + 2 * on_across
-
-
-@wp.func
-def vertex_of_edge(grid: DualGrid, layer: int, bit: int, edge: int) -> int:
-    """Return the number of the vertex that a cell has for one of its edges, −1 for none."""
-    if layer < 0:
-        return -1
-    if ((grid.cells.active[layer] >> wp.uint64(bit)) & wp.uint64(1)) == NONE:
-        return -1
-    cell = cell_number(grid, layer, bit)
-    own = int((grid.codes[cell] >> wp.uint64(4 * edge)) & wp.uint64(15))
-    if own == _NO_VERTEX:
-        return -1
-    return grid.vertex_starts[cell] + own
-
-
-@wp.func
 def vertices_beside(grid: DualGrid, slot: int, layer: int, bit: int, axis: int, ends: wp.vec2i) -> wp.vec4i:
-    """Return the vertices that the cells on both sides of a face have for the two edges that a curve joins."""
+    """Return the vertices that the cells above and below a face have for the two edges that a curve joins, in turn."""
     at = wp.vec3i(bit & 7, bit >> 3, layer & 7) - step_along(axis)
     before = place_of(grid.cells.lower, slot, at[0], at[1], at[2])
     return wp.vec4i(
@@ -98,6 +73,43 @@ def vertices_beside(grid: DualGrid, slot: int, layer: int, bit: int, axis: int, 
         vertex_of_edge(grid, layer, bit, edge_in_cell(axis, ends[1], False)),
         vertex_of_edge(grid, before[0], before[1], edge_in_cell(axis, ends[1], True)),
     )
+
+
+@wp.func
+def passes_within_hull(around: wp.vec4i, axis: int, ends: wp.vec2i, places: wp.array(dtype=wp.vec3)) -> bool:
+    """Return whether the line between the vertices on both sides of a face passes it within a curve's hull."""
+    above = places[wp.max(around[0], around[2])]
+    below = places[wp.max(around[1], around[3])]
+    share = (1.0 - below[axis]) / (1.0 - below[axis] + above[axis])
+    point = below + share * (above - below)
+    return is_in_hull(wp.vec2(point[face_u(axis)], point[face_v(axis)]), ends)
+
+
+@wp.kernel
+def _choose_pins(first: int, grid: DualGrid, places: wp.array(dtype=wp.vec3)) -> None:
+    layer = wp.tid() + first
+    slot = layer >> 3
+    grid.pin_starts[layer] = 0
+    if not may_be_delicate(grid, slot, layer & 7):
+        return
+    words = layer_words(grid, slot, layer & 7)
+    total = int(0)
+    for axis in range(3):
+        curves = delicate_curves(words, axis)
+        for curve in range(2):
+            pins = NONE
+            left = curves[curve]
+            while left != NONE:
+                bit = lowest_bit(left)
+                one = left & (~left + wp.uint64(1))
+                pattern = pattern_of(grid, slot, wp.vec3i(bit & 7, bit >> 3, layer & 7), axis)
+                ends = curve_edges(pattern, curve)
+                if not passes_within_hull(vertices_beside(grid, slot, layer, bit, axis, ends), axis, ends, places):
+                    pins |= one
+                left = left ^ one
+            grid.pins[2 * layer + curve, axis] = pins
+            total += wp.bit_count(pins)
+    grid.pin_starts[layer] = total
 
 
 @wp.kernel
@@ -115,7 +127,7 @@ def _place_pins(
     normals: wp.array(dtype=wp.vec3),
 ) -> None:
     layer = wp.tid() + first
-    if grid.curve_starts[layer][1] == grid.curve_starts[layer + 1][1]:
+    if grid.pin_starts[layer] == grid.pin_starts[layer + 1]:
         return
     slot = layer >> 3
     corner = 8 * blocks[number_of(grid.cells, slot)]
@@ -136,9 +148,8 @@ def _place_pins(
                         found = meeting_point(a, b, curve_points[curve_number(grid, layer, axis, bit) + curve])
                         if is_in_hull(found, ends):
                             point = found
-                    place = wp.vec3(
-                        float(corner[0] + voxel[0]), float(corner[1] + voxel[1]), float(corner[2] + voxel[2])
-                    )
+                    at = corner + voxel
+                    place = wp.vec3(float(at[0]), float(at[1]), float(at[2]))
                     place[face_u(axis)] += point[0]
                     place[face_v(axis)] += point[1]
                     around = vertices_beside(grid, slot, layer, bit, axis, ends)
@@ -149,18 +160,29 @@ def _place_pins(
 
 
 def place_pins(
-    volume: Volume, grid: DualGrid, counts: Counts, along: wp.array, curve_points: wp.array | None, cells: Vertices
+    volume: Volume,
+    grid: DualGrid,
+    along: wp.array,
+    curve_points: wp.array | None,
+    places: wp.array,
+    cells: Vertices,
+    *,
+    normals: bool,
 ) -> Vertices:
-    """Return the vertices on pinned faces, with colours and normals from the ``cells``' vertices beside them."""
-    device = volume.device
-    pins = Vertices.empty(counts.pins, device)
-    if counts.pins == 0:
-        return pins
+    """Find the pinned curves (``grid.pins``, ``pin_starts``) and return the vertices on them.
+
+    The ``cells``' vertices lie at ``places``; colours and normals are those of the ones beside.
+    """
+    device, layers = volume.device, len(grid.several)
+    launch_over_layers(_choose_pins, dim=layers, inputs=[grid, places], outputs=[], device=device)
+    array_scan(grid.pin_starts, grid.pin_starts, inclusive=False)
+    count = int(grid.pin_starts[layers:].numpy()[0])
+    pins = Vertices.empty(count, device, normals=normals)
     if curve_points is None:
         curve_points = wp.empty(0, dtype=wp.vec4, device=device)
     launch_in_slabs(
         _place_pins,
-        dim=len(grid.cells.starts) - 1,
+        dim=layers if count else 0,
         inputs=[grid, volume.table.blocks, volume.voxel_size, along, curve_points, cells.colors, cells.normals],
         outputs=[pins.points, pins.colors, pins.normals],
         device=device,

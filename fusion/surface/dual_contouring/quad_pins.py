@@ -3,7 +3,7 @@
 import warp as wp
 
 from fusion.surface.dual_contouring.dual_grid import DualGrid, pin_number, place_of
-from fusion.surface.dual_contouring.faces import face_u
+from fusion.surface.dual_contouring.faces import face_u, is_ambiguous, pattern_of
 from fusion.surface.layers import NONE, step_along
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
@@ -16,17 +16,20 @@ def pin_beside(grid: DualGrid, slot: int, voxel: wp.vec3i, axis: int, normal: in
     The quad's edge runs along ``axis`` on the low (0) or high (1) ``side`` of the face.
     """
     place = place_of(grid.cells.lower, slot, voxel[0], voxel[1], voxel[2])
-    one = wp.uint64(1) << wp.uint64(place[1])
     layer = place[0]
+    if grid.pin_starts[layer] == grid.pin_starts[layer + 1]:
+        return -1
+    one = wp.uint64(1) << wp.uint64(place[1])
     if ((grid.pins[2 * layer, normal] | grid.pins[2 * layer + 1, normal]) & one) == NONE:
         return -1
+    holder = wp.vec3i(place[1] & 7, place[1] >> 3, layer & 7)
+    pattern = pattern_of(grid, layer >> 3, holder, normal)
     curve = int(0)
-    if (grid.ambiguous[layer, normal] & one) != NONE:
+    if is_ambiguous(pattern):
         curve = side
         if axis != face_u(normal):
             # Along v the curves go with the inside corners, as in ``cell_table``.
-            inside = (grid.cells.inside[layer] & one) != NONE
-            curve = wp.where(inside, side, 1 - side)
+            curve = wp.where((pattern & 1) == 1, side, 1 - side)
     return pin_number(grid, layer, normal, place[1], curve)
 
 
@@ -51,6 +54,6 @@ def has_pins(grid: DualGrid, slot: int, z: int) -> bool:
         holder = grid.cells.lower[slot, (back & 3) | wp.where(z == 0, back & 4, 0)]
         if holder >= 0:
             layer = 8 * holder + ((z - (back >> 2)) & 7)
-            if grid.curve_starts[layer][1] != grid.curve_starts[layer + 1][1]:
+            if grid.pin_starts[layer] != grid.pin_starts[layer + 1]:
                 return True
     return False

@@ -9,8 +9,8 @@ import warp as wp
 from warp.utils import array_scan
 
 from fusion.devices import launch_in_slabs
-from fusion.surface.dual_contouring.dual_grid import Counts, DualGrid
-from fusion.surface.dual_contouring.layer_quads import make_quads
+from fusion.surface.dual_contouring.dual_grid import DualGrid
+from fusion.surface.dual_contouring.layer_quads import split_layer
 from fusion.surface.dual_contouring.quad_pins import has_pins, pins_around
 from fusion.surface.dual_contouring.quad_split import FAN
 from fusion.surface.dual_contouring.vertices import Vertices, set_vertex_between
@@ -31,7 +31,7 @@ def complete_along(grid: DualGrid, layer: int, axis: int) -> wp.uint64:
 
 
 @wp.kernel
-def _make_quads(
+def _split_quads(
     first: int,
     grid: DualGrid,
     along: wp.array(dtype=float),
@@ -46,7 +46,7 @@ def _make_quads(
         return
     slot = layer >> 3
     z = layer & 7
-    counts = make_quads(grid, slot, z, along, places, quad, corners, splits)
+    counts = split_layer(grid, slot, z, along, places, corners, quad, splits)
     if has_pins(grid, slot, z):
         for axis in range(3):
             left = complete_along(grid, layer, axis)
@@ -169,16 +169,26 @@ class CutQuads:
 
 
 def cut_quads(
-    volume: Volume, grid: DualGrid, counts: Counts, along: wp.array, places: wp.array, cells: Vertices
+    volume: Volume,
+    grid: DualGrid,
+    corners: wp.array,
+    along: wp.array,
+    places: wp.array,
+    cells: Vertices,
+    *,
+    pins: int,
+    normals: bool,
 ) -> CutQuads:
-    """Make the quads of the ``cells``' vertices, which lie at ``places`` in their cells, and cut them."""
-    device, layers = volume.device, len(grid.cells.starts) - 1
-    # By quad its corners and how it is cut; by layer how many triangles and fans come before.
-    corners = wp.empty(counts.quads, dtype=wp.vec4i, device=device)
-    splits = wp.empty(counts.quads, dtype=wp.uint8, device=device)
+    """Cut quads between ``corners``, numbers of the ``cells``' vertices, which lie at ``places`` in their cells.
+
+    ``pins`` is how many vertices on faces there are.
+    """
+    device, layers = volume.device, len(grid.several)
+    # By quad how it is cut; by layer how many triangles and fans come before.
+    splits = wp.empty(len(corners), dtype=wp.uint8, device=device)
     starts = wp.zeros(layers + 1, dtype=wp.vec2i, device=device)
     launch_over_layers(
-        _make_quads, dim=layers, inputs=[grid, along, places], outputs=[corners, splits, starts], device=device
+        _split_quads, dim=layers, inputs=[grid, along, places, corners], outputs=[splits, starts], device=device
     )
     array_scan(starts, starts, inclusive=False)
     triangle_total, fan_total = (int(total) for total in starts[layers:].numpy()[0])
@@ -187,11 +197,11 @@ def cut_quads(
     launch_over_layers(
         _emit_triangles,
         dim=layers,
-        inputs=[*quads, counts.vertices, counts.vertices + counts.pins],
+        inputs=[*quads, len(places), len(places) + pins],
         outputs=[triangles],
         device=device,
     )
-    fans = Vertices.empty(fan_total, device)
+    fans = Vertices.empty(fan_total, device, normals=normals)
     launch_in_slabs(
         _place_fans,
         dim=layers if fan_total else 0,

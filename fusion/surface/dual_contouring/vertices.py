@@ -10,19 +10,19 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 @dataclass(frozen=True, kw_only=True)
 class Vertices:
-    """Vertices on the device (n,): ``points`` metres in the world, ``colors`` RGB, unit ``normals``."""
+    """Vertices on the device (n,): ``points`` metres in the world, ``colors`` RGB, unit ``normals`` or none (0,)."""
 
     points: wp.array
     colors: wp.array
     normals: wp.array
 
     @staticmethod
-    def empty(count: int, device: Any) -> "Vertices":
+    def empty(count: int, device: Any, *, normals: bool) -> "Vertices":
         """Return room for vertices."""
         return Vertices(
             points=wp.empty(count, dtype=wp.vec3, device=device),
             colors=wp.empty(count, dtype=wp.vec3ub, device=device),
-            normals=wp.empty(count, dtype=wp.vec3, device=device),
+            normals=wp.empty(count if normals else 0, dtype=wp.vec3, device=device),
         )
 
 
@@ -46,14 +46,19 @@ def set_vertex_between(
     colors: wp.array(dtype=wp.vec3ub),
     normals: wp.array(dtype=wp.vec3),
 ) -> None:
-    """Write a vertex at a point, with the average colour and normal of the cells' vertices around it, -1 for none."""
+    """Write a vertex at a point, with the average colour and normal of the cells' vertices around it, −1 for none.
+
+    Normals are left out where there is no room for them.
+    """
     normal = wp.vec3()
     color = wp.vec4()
     for i in range(4):
         if around[i] >= 0:
-            normal += cell_normals[around[i]]
+            if cell_normals.shape[0] > 0:
+                normal += cell_normals[around[i]]
             own = cell_colors[around[i]]
             color += wp.vec4(float(own[0]), float(own[1]), float(own[2]), 1.0)
     points[vertex] = point
     colors[vertex] = as_bytes(color)
-    normals[vertex] = wp.normalize(normal)
+    if normals.shape[0] > 0:
+        normals[vertex] = wp.normalize(normal)

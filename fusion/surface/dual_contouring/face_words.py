@@ -1,0 +1,140 @@
+"""What is true of the faces of a layer's voxels, an axis to a word: those that are crossed, and that may need vertices.
+
+The surface makes a curve through a crossed face, and two through an *ambiguous* one.
+"""
+
+import warp as wp
+from warp.utils import array_scan
+
+from fusion.surface.dual_contouring.dual_grid import DualGrid
+from fusion.surface.dual_contouring.edge_words import EdgeWords, complete_edges
+from fusion.surface.dual_contouring.odd_cells import crossed_twice
+from fusion.surface.layers import NONE, corners_back, corners_on, launch_over_layers, word_at
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+
+
+@wp.func
+def face_corners(low: wp.vec4ul, high: wp.vec4ul, axis: int) -> wp.vec4ul:
+    """Return the words of a face's corners (u, v) = (0, 0), (1, 0), (0, 1), (1, 1)."""
+    if axis == 0:
+        return wp.vec4ul(low[0], low[2], high[0], high[2])
+    if axis == 1:
+        return wp.vec4ul(low[0], low[1], high[0], high[1])
+    return low
+
+
+@wp.func
+def face_edges(complete: EdgeWords, axis: int) -> wp.vec4ul:
+    """Return what is true of a face's edges 0 to 3, of what is true of the edges of the cell above it."""
+    if axis == 0:
+        return wp.vec4ul(complete[4], complete[6], complete[8], complete[10])
+    if axis == 1:
+        return wp.vec4ul(complete[0], complete[2], complete[8], complete[9])
+    return wp.vec4ul(complete[0], complete[1], complete[4], complete[5])
+
+
+@wp.func
+def back_along(back: wp.vec4ul, under: wp.vec4ul, axis: int) -> wp.uint64:
+    """Return what is true one back along an axis, from the words of this layer and the one under it."""
+    if axis == 2:
+        return under[0]
+    return back[axis + 1]
+
+
+@wp.func
+def any_beside(back: wp.vec4ul, under: wp.vec4ul) -> bool:
+    """Return whether something is true of any voxel of a layer, or of one beside it across a face."""
+    return (back[0] | back[1] | back[2] | under[0]) != NONE
+
+
+@wp.func
+def curves_with_quads(corners: wp.vec4ul, edges: wp.vec4ul) -> wp.vec2ul:
+    """Return the faces on whose curve 0 and 1 a quad depends: those with a complete edge at one of its ends."""
+    twice = crossed_twice(corners)
+    # On an ambiguous face an edge along v goes with the inside corner that it ends at.
+    to_first = (corners[0] & edges[2]) | (~corners[0] & edges[3])
+    to_second = (corners[0] & edges[3]) | (~corners[0] & edges[2])
+    some = edges[0] | edges[1] | edges[2] | edges[3]
+    return wp.vec2ul((~twice & some) | (twice & (edges[0] | to_first)), twice & (edges[1] | to_second))
+
+
+@wp.kernel
+def _find_curves(first: int, grid: DualGrid) -> None:
+    layer = wp.tid() + first
+    slot = layer >> 3
+    z = layer & 7
+    cells = grid.cells
+    active = corners_back(cells.active, cells.lower, slot, z)
+    active_under = corners_back(cells.active, cells.lower, slot, z - 1)
+    curves = int(0)
+    if any_beside(active, active_under):
+        low = corners_on(cells.inside, cells.upper, slot, z)
+        high = corners_on(cells.inside, cells.upper, slot, z + 1)
+        for axis in range(3):
+            corners = face_corners(low, high, axis)
+            some = corners[0] | corners[1] | corners[2] | corners[3]
+            every = corners[0] & corners[1] & corners[2] & corners[3]
+            faces = some & ~every & (active[0] | back_along(active, active_under, axis))
+            twice = faces & crossed_twice(corners)
+            grid.faces[layer, axis] = faces
+            grid.ambiguous[layer, axis] = twice
+            curves += wp.bit_count(faces) + wp.bit_count(twice)
+    # Where there are none the words stay as they are: nothing reads them.
+    grid.curve_starts[layer] = curves
+
+
+def find_curves(grid: DualGrid) -> int:
+    """Find the curves through faces (``faces``, ``ambiguous``, ``curve_starts``) and return how many there are."""
+    device, layers = grid.faces.device, len(grid.faces)
+    launch_over_layers(_find_curves, dim=layers, inputs=[], outputs=[grid], device=device)
+    array_scan(grid.curve_starts, grid.curve_starts, inclusive=False)
+    return int(grid.curve_starts[layers:].numpy()[0])
+
+
+@wp.func
+def may_be_delicate(grid: DualGrid, slot: int, z: int) -> bool:
+    """Return whether a layer has ambiguous faces below its cells, or cells with several loops there or beside it."""
+    layer = 8 * slot + z
+    # No quad depends on a face below a cell that is not active.
+    if grid.cells.active[layer] == NONE:
+        return False
+    found = grid.twice[layer] | grid.several[layer]
+    found |= word_at(grid.several, grid.cells.lower, slot, 1, z) | word_at(grid.several, grid.cells.lower, slot, 2, z)
+    found |= word_at(grid.several, grid.cells.lower, slot, wp.where(z == 0, 4, 0), (z - 1) & 7)
+    return found != NONE
+
+
+@wp.struct
+class LayerWords:
+    """What tells of a layer's faces: words of its cells' corners, of ``several`` here and beside, of complete edges."""
+
+    low: wp.vec4ul
+    high: wp.vec4ul
+    several: wp.vec4ul
+    several_under: wp.vec4ul
+    complete: EdgeWords
+
+
+@wp.func
+def layer_words(grid: DualGrid, slot: int, z: int) -> LayerWords:
+    """Look up a layer's words."""
+    words = LayerWords()
+    words.low = corners_on(grid.cells.inside, grid.cells.upper, slot, z)
+    words.high = corners_on(grid.cells.inside, grid.cells.upper, slot, z + 1)
+    words.several = corners_back(grid.several, grid.cells.lower, slot, z)
+    words.several_under = corners_back(grid.several, grid.cells.lower, slot, z - 1)
+    words.complete = complete_edges(grid, slot, z)
+    return words
+
+
+@wp.func
+def delicate_curves(words: LayerWords, axis: int) -> wp.vec2ul:
+    """Return the faces across an axis on whose curve 0 and 1 a quad depends and may come too near to another sheet.
+
+    These are ambiguous, or beside a cell with several loops.
+    """
+    corners = face_corners(words.low, words.high, axis)
+    delicate = crossed_twice(corners) | words.several[0] | back_along(words.several, words.several_under, axis)
+    curves = curves_with_quads(corners, face_edges(words.complete, axis))
+    return wp.vec2ul(curves[0] & delicate, curves[1] & delicate)
