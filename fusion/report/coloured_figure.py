@@ -88,4 +88,4 @@ def _depth_numbers(subject: Subject, result: Run) -> Numbers:
     if not both.any():
         return ()
     apart = float(np.median(np.abs(ours[both] - theirs[both])))
-    return ("depth, median", f"{1000 * apart:.2g} mm off"), ("of its pixels", percent(both.sum() / (theirs > 0).sum()))
+    return ("depth off by", f"{1000 * apart:.2g} mm"), ("pixels covered", percent(both.sum() / (theirs > 0).sum()))

@@ -27,11 +27,7 @@ from fusion.surface.mesh_files import read_mesh
 PAGE_FILE = "report.html"
 IMAGES_FOLDER = "images"
 RUNS_FOLDER = "runs"
-KERNEL_MODULES = (
-    "fusion.surface.closest_points",
-    "fusion.surface.mesh_ray_casting",
-    "fusion.evaluation.observed_surface",
-)
+KERNEL_MODULES = ("fusion.surface.closest_points", "fusion.surface.mesh_ray_casting")
 
 
 def write_report(

@@ -216,7 +216,7 @@ def test_a_recording_without_truth_is_shown_in_its_colours_beside_the_papers_tab
     assert "Fig. 12" in page
     assert "Fig. 7" not in page
     # The scene is seen exactly: its depth is that of the frame, and its colours are two, without shading.
-    assert float(re.search(r"<dt>depth, median</dt><dd>([0-9.]+) mm off", page).group(1)) < 2
+    assert float(re.search(r"<dt>depth off by</dt><dd>([0-9.]+) mm", page).group(1)) < 2
     assert float(re.search(r"<dt>colour, PSNR</dt><dd>([0-9.]+) dB", page).group(1)) > 20
     record = read_record(next((out / "runs" / "ball").iterdir()))
     assert f"<td>{record.frames_per_second:.1f}</td>" in page
