@@ -128,8 +128,9 @@ def test_a_query_between_views_far_apart_that_something_hides_in_part_is_found(d
         distances = pose_distances(index.world_from_camera, poses[query], depth=1.2)
         assert nearest.index == distances.argmin()
         rotation_deg, translation_m = pose_error(nearest.estimate, poses[query])
-        assert rotation_deg < 1
-        assert translation_m < 0.02
+        # From within 10° and 4 cm every refinement has to come right.
+        assert rotation_deg < 10
+        assert translation_m < 0.04
 
 
 def test_distances_between_poses_are_angles_and_shifts_at_depth():
