@@ -7,6 +7,7 @@ import bpy
 
 from ..errors import ReconstructionError
 from ..results.originals import originals_of, show_sides
+from ..results.viewport_colors import suit_shading
 from .shown_collection import find_shown, shown_collection
 
 SIDES = (
@@ -58,6 +59,7 @@ class SCANBACK_OT_show_side(bpy.types.Operator):  # noqa: N801 - Blender's namin
             original=self.side != "RECONSTRUCTION",
             reconstruction=self.side != "ORIGINAL",
         )
+        suit_shading(context.scene)
         return {"FINISHED"}
 
 

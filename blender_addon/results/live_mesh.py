@@ -14,7 +14,7 @@ from .mesh_import import fill_mesh, object_of
 from .originals import named, set_hidden
 from .scene_collection import LIVE_PART, MESH_PART, PART_KEY, find_collection, parts
 from .scene_units import mesh_in_units
-from .viewport_colors import show_vertex_colors
+from .viewport_colors import suit_shading
 
 NAME = "Scanback live"
 ASIDE_KEY = "scanback_aside"
@@ -90,7 +90,7 @@ class LiveMesh:
             item.hide_select = True
             scene.collection.objects.link(item)
             item[ASIDE_KEY] = json.dumps([other.name for other in set_hidden(scene, self._beside(scene), hidden=True)])
-            show_vertex_colors()
+            suit_shading(scene)
             return
         older, item.data = item.data, data
         for material in older.materials:

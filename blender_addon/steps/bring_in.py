@@ -12,7 +12,7 @@ from ..results.import_reconstruction import MESH_NAME, place_reconstruction
 from ..results.mesh_import import fill_mesh, object_of
 from ..results.originals import note_originals, show_sides
 from ..results.scene_units import reconstruction_in_units
-from ..results.viewport_colors import show_vertex_colors
+from ..results.viewport_colors import suit_shading
 from .scene_reference import SceneReference, push_undo
 
 ATTEMPTS = 3
@@ -48,7 +48,7 @@ def bring_in(
     if originals:
         note_originals(collection, originals)
         show_sides(target, collection, original=False, reconstruction=True)
-    show_vertex_colors()
+    suit_shading(target)
     if undo is not None:
         push_undo(undo)
     return reconstruction

@@ -18,6 +18,7 @@ from ..results.error_colors import put_errors
 from ..results.originals import note_originals, show_sides
 from ..results.scene_collection import MESH_PART, find_collection, parts
 from ..results.scene_units import length_text
+from ..results.viewport_colors import suit_shading
 from ..settings import RECONSTRUCTION
 from .bring_in import bring_in
 from .evaluation import evaluated_as_shown
@@ -71,6 +72,7 @@ def _show_mesh_alone(scene: bpy.types.Scene, out: Path, original: str) -> None:
     assert collection is not None, "it holds the mesh"
     note_originals(collection, [original] if original else [])
     show_sides(scene, collection, original=False, reconstruction=True)
+    suit_shading(scene)
 
 
 def triangles_of(item: bpy.types.Object) -> tuple[NDArray[np.float32], NDArray[np.int32]]:

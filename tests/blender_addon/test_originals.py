@@ -69,6 +69,28 @@ def test_one_of_both_is_shown_and_each_choice_is_one_step_back(collection: bpy.t
     assert _shown(bpy.data.collections[name]) == (True, False)
 
 
+def test_viewports_show_vertex_colors_as_they_are_where_nothing_else_is_seen(
+    collection: bpy.types.Collection,
+) -> None:
+    area = next(area for area in bpy.context.window_manager.windows[0].screen.areas if area.type == "VIEW_3D")
+    shading = area.spaces.active.shading
+    assert (shading.type, shading.color_type, shading.light) == ("SOLID", "MATERIAL", "STUDIO")
+    _cube()
+    note_originals(collection, ["Cube"])
+    for side, expected in (
+        ("RECONSTRUCTION", ("VERTEX", "FLAT")),
+        ("BOTH", ("VERTEX", "STUDIO")),
+        ("ORIGINAL", ("MATERIAL", "STUDIO")),
+        ("RECONSTRUCTION", ("VERTEX", "FLAT")),
+    ):
+        bpy.ops.scanback.show_side(side=side)
+        assert (shading.color_type, shading.light) == expected
+    shading.color_type, shading.light = "RANDOM", "MATCAP"
+    for side in ("ORIGINAL", "RECONSTRUCTION"):  # what the user chose stays
+        bpy.ops.scanback.show_side(side=side)
+        assert (shading.color_type, shading.light) == ("RANDOM", "MATCAP")
+
+
 def test_importing_again_keeps_who_the_originals_are(collection: bpy.types.Collection, sphere_scan: Any) -> None:
     cube = _cube()
     note_originals(collection, ["Cube"])

@@ -109,7 +109,7 @@ def narrow(window):
     region = window.region(area, "UI")
     window.seen["width"] = [region.width]
     yield from window.scroll(30)
-    yield from window.drag(region.x + 1, region.y + region.height // 3, 90, 0)
+    yield from window.drag(region.x + 8, region.y + region.height // 2, 90, 0)
     yield 1.0
     window.seen["width"].append(window.region(area, "UI").width)
     bpy.context.scene.scanback.locate.query = "FRAME"
