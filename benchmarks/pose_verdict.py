@@ -244,8 +244,10 @@ def cases_of_meshes(meshes, options, device):
 def cases_of_ycb_video(options, device):
     subjects = ycb_video_subjects(options.ycb_video, voxel_size=None, device=device)
     for subject in subjects:
-        camera = subject.view(subject.queries[0]).camera
-        wanted = model_of(subject.name, subject.model, camera, subject.points.points)
+        camera, points = subject.view(subject.queries[0]).camera, subject.points.points
+        # As fine as fusion locate makes a model of points.
+        model = prepare_model(CadModel(source=subject.name, mesh=None, points=points).volume(device=device))
+        wanted = model_of(subject.name, model, camera, points)
         for other in subjects:
             for frame in other.queries[: options.right if other is subject else options.wrong]:
                 view = other.view(frame)
