@@ -13,7 +13,7 @@ from fusion.integration.options import Integration
 from fusion.reconstruction_config import ReconstructionConfig
 from fusion.reconstruction_files import RECORD_FILE, ReconstructionRecord
 from fusion.stopwatch import Stopwatch
-from fusion.surface.dual_contouring.depth_oracle import DepthField
+from fusion.surface.dual_contouring.depth_oracle import FIELD_MODULES, DepthField
 from fusion.surface.dual_contouring.dual_contouring import oracle_kernels
 from fusion.surface.dual_contouring.oracle import Oracle
 from fusion.surface.mesh import Mesh
@@ -121,6 +121,7 @@ def depth_oracle(
 ) -> Oracle:
     """Decode the depth of all frames once more, for dual contouring to ask; ``clock`` counts it to ``mesh``."""
     timed = clock or Stopwatch(volume.device)
+    load_kernels(FIELD_MODULES, device=volume.device, progress=progress)
     field = DepthField(volume, integration, frames=len(source.frame_ids))
     upload = FrameUploader(
         source.dataset.camera,
@@ -134,4 +135,6 @@ def depth_oracle(
             field.add(upload(frames.depths, frames.poses))
         for _ in frames.frame_ids:
             advance()
-    return field.oracle()
+    load_kernels((), [field.kernel()], device=volume.device, progress=progress)
+    with timed("mesh"):
+        return field.oracle()

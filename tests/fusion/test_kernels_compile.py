@@ -9,9 +9,10 @@ import warp as wp
 
 import fusion
 from fusion.devices import resolve_device
+from fusion.evaluation import observed_surface
 from fusion.frames import color_confidence, depth_tiles
 from fusion.integration import integrate, pixel_weights
-from fusion.surface.dual_contouring import depth_oracle
+from fusion.surface.dual_contouring import depth_oracle, frame_choice
 from fusion.surface.dual_contouring.dual_contouring import oracle_kernels
 from fusion.surface.dual_contouring.oracle import Oracle
 
@@ -29,7 +30,7 @@ def kernel_modules():
 def kernels_made_to_measure():
     """Yield those that are made for a type of depth and for options."""
     for depth_type in (wp.uint16, wp.float32):
-        for stage in (color_confidence, depth_tiles, pixel_weights):
+        for stage in (color_confidence, depth_tiles, pixel_weights, observed_surface):
             yield pytest.param(stage.kernel(depth_type), id=f"{stage.__name__}-{depth_type.__name__}")
         for bilinear, weighted, drop_off in itertools.product((False, True), repeat=3):
             options = {"bilinear": bilinear, "weighted": weighted, "drop_off": drop_off}
@@ -42,7 +43,8 @@ def kernels_made_for_oracles():
     """Yield those of dual contouring that ask for the depth images' field."""
     for depth_type, weighted in itertools.product((wp.uint16, wp.float32), (False, True)):
         value, state_type = depth_oracle.depth_value(depth_type, weighted=weighted)
-        for kernel in oracle_kernels(Oracle(value, state_type, None)):
+        choice = frame_choice.score_kernel(depth_type, weighted=weighted)
+        for kernel in [choice, *oracle_kernels(Oracle(value, state_type, None))]:
             name = f"{kernel.key.split('__')[-1]}-{depth_type.__name__}-{'weighted' if weighted else 'constant'}"
             yield pytest.param(kernel, id=name)
 

@@ -1,12 +1,12 @@
 """The continuous field of the posed depth images themselves, which still has what voxels have rounded.
 
-A point's value is the weighted average of the truncated distances that the frames measure there, as integration would
-store it for a voxel, with depth taken between pixels of one surface; but a frame has little say about what lies behind
-the surface that it sees. Beside a sharp edge that may be free again, as other frames see: with all their weight, those
-behind it would make the field bulge by a good part of the truncation. Half a voxel is left, so that a noisy frame that
-sees the surface too near is still outvoted by those that see it too far.
+A point's value is the weighted average of the distances that frames say (``depth_views``), up to the truncation in
+front of the surface; but a frame has little say about what lies behind the surface that it sees. Beside a sharp edge
+that may be free again, as other frames see: with all their weight, those behind it would make the field bulge by a good
+part of the truncation. A quarter of a voxel is left: the bulge grows with the square of what is, and with nothing a
+noisy frame that sees the surface too near would not be outvoted by those that see it too far.
 
-Every frame's images are kept, and for each part of a block the frames that may see it.
+Every frame's images are kept, and for each part of a block which frames are asked (``frame_choice``).
 """
 
 from functools import cache
@@ -15,144 +15,88 @@ from typing import Any
 import warp as wp
 
 from datagen.errors import InputError
-from fusion.devices import free_memory, launch_in_slabs
+from fusion.devices import Kernel, free_memory
 from fusion.frames.frame_batch import FrameBatch
 from fusion.frames.frame_matrices import frame_matrices
-from fusion.integration.fuse_batch import survey_batch
 from fusion.integration.options import Integration
 from fusion.integration.pixel_weights import pixel_weights
-from fusion.integration.visible_blocks import PARTS, visible_blocks
+from fusion.integration.visible_blocks import PARTS
+from fusion.surface.dual_contouring.depth_views import LOOK_IN_CPP, views_type
+from fusion.surface.dual_contouring.frame_choice import MOST_FRAMES, choose_frames, score_kernel
 from fusion.surface.dual_contouring.oracle import NOT_KNOWN, Oracle
-from fusion.volume.block_table import find_block
 from fusion.volume.tsdf_volume import Volume
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 _PARTS = wp.constant(PARTS)
-BEHIND = 0.5
+BEHIND = 0.25
 """Voxels behind what a frame sees at which it has no say any more; its say falls to that linearly."""
 
 MEMORY_SHARE = 0.7
 """Of the free memory, how much the images may take."""
 
-# As in ``fusion.integration.integrate``, for one point and between pixels only.
+FIELD_MODULES = tuple(f"fusion.surface.dual_contouring.{name}" for name in ("depth_oracle", "frame_choice"))
+"""Their kernels are those of ``DepthField`` that are not made for a type of depth."""
+
 _VALUE_IN_CPP = """
-    const int words = masks.shape[1], height = depth.shape[1], width = depth.shape[2];
-    const float t = truncation;
-    float sum = 0.0f, total = 0.0f;
-    bool hidden = false;
-    for (int word = 0; word < words; ++word) {
-        for (unsigned int left = masks.data[(size_t)row * words + word]; left != 0; left &= left - 1) {
-#ifdef __CUDA_ARCH__
-            const int frame = 32 * word + __ffs(left) - 1;
-#else
-            const int frame = 32 * word + __builtin_ctz(left);
-#endif
-            const wp::mat44 &p = pixel_from_lattice.data[frame];
-            const float z_point = p.data[2][0] * x + p.data[2][1] * y + p.data[2][2] * z + p.data[2][3];
-            if (!(z_point > 0.0f)) continue;
-            const float inverse_z = 1.0f / z_point;
-            const float u = (p.data[0][0] * x + p.data[0][1] * y + p.data[0][2] * z + p.data[0][3]) * inverse_z;
-            const float v = (p.data[1][0] * x + p.data[1][1] * y + p.data[1][2] * z + p.data[1][3]) * inverse_z;
-            if (!(u >= -0.5f && v >= -0.5f && u < width - 0.5f && v < height - 0.5f)) continue;
-            const int u1 = (int)(u + 1.0f), v1 = (int)(v + 1.0f);  // the pixel after the one before
-            const float du = u + 1.0f - u1, dv = v + 1.0f - v1;
-            const int left_u = u1 > 0 ? u1 - 1 : 0, right_u = u1 < width ? u1 : width - 1;
-            const int upper_v = (v1 > 0 ? v1 - 1 : 0) * width, lower_v = (v1 < height ? v1 : height - 1) * width;
-            const size_t image = (size_t)frame * height * width;
-            const auto *depths = depth.data + image;
-            const float a = (float)depths[upper_v + left_u], b = (float)depths[upper_v + right_u];
-            const float c = (float)depths[lower_v + left_u], e = (float)depths[lower_v + right_u];
-            const float low_ab = a < b ? a : b, low_ce = c < e ? c : e, low = low_ab < low_ce ? low_ab : low_ce;
-            const float high_ab = a > b ? a : b, high_ce = c > e ? c : e, high = high_ab > high_ce ? high_ab : high_ce;
-            if (!(low > 0.0f) || (high - low) * depth_scale > t || depth_scale * high < z_point - t) continue;
-            const float inverse = (1.0f - dv) * ((1.0f - du) / a + du / b) + dv * ((1.0f - du) / c + du / e);
-            const float ratio = (depth_scale / inverse - z_point) / t;
-            if (ratio < -1.0f) continue;
-            hidden |= ratio <= -behind;
-            if (ratio <= -behind) continue;
-            float w = ratio < 0.0f ? 1.0f + ratio / behind : 1.0f;
-            if (WEIGHTED) w *= pixel_weights.data[image + (size_t)(int)(v + 0.5f) * width + (int)(u + 0.5f)];
-            sum += w * (ratio < 1.0f ? ratio : 1.0f);
-            total += w;
-        }
+    const V none = 0.0f, one = 1.0f;
+    const float farthest = truncation / voxel_size;
+    const int most = chosen.shape[1], count = counts.data[row];
+    const int *list = chosen.data + (size_t)row * most;
+    V sums = none, totals = none, hidden = none;
+    for (int first = 0; first < count; first += LANES) {
+        V d, w;
+        look([&](int lane) { return list[first + lane]; }, count - first < LANES ? count - first : LANES, d, w);
+        const V share = d < none ? one + d * (1.0f / BEHIND) : one;
+        hidden = ((w > none) & (share <= none)) ? one : hidden;
+        const V say = share > none ? w * share : none;
+        sums += say * (d < farthest ? d : (V)farthest);
+        totals += say;
     }
-    return total > 0.0f ? sum / total : hidden ? -behind : NONE;
+    float sum = 0.0f, total = 0.0f, behind = 0.0f;
+    for (int lane = 0; lane < LANES; ++lane) {
+        sum += lanes_of(sums)[lane];
+        total += lanes_of(totals)[lane];
+        behind += lanes_of(hidden)[lane];
+    }
+    return total > 0.0f ? sum / total : behind > 0.0f ? -BEHIND : NONE;
 """
-
-
-@wp.kernel
-def _spread_masks(
-    first: int,
-    blocks: wp.array(dtype=wp.vec3i),
-    keys: wp.array(dtype=wp.int64),
-    numbers: wp.array(dtype=int),
-    masks: wp.array2d(dtype=wp.uint32),
-    first_frame: int,
-    all_masks: wp.array2d(dtype=wp.uint32),
-) -> None:
-    # The masks are for voxel centres; points lie between these and the next part's.
-    row = wp.tid() + first
-    number = row / _PARTS
-    part = row - _PARTS * number
-    seen = wp.uint32(0)
-    for step in range(8):
-        y = (part & 1) + ((step >> 1) & 1)
-        z = (part >> 1) + (step >> 2)
-        beyond = wp.vec3i(step & 1, y >> 1, z >> 1)
-        holder = number
-        if beyond[0] + beyond[1] + beyond[2] > 0:
-            holder = find_block(keys, numbers, blocks[number] + beyond)
-        if holder >= 0 and holder < masks.shape[0]:
-            seen |= masks[holder, (y & 1) + 2 * (z & 1)]
-    # A batch may begin within a word.
-    word = first_frame / 32
-    bits = wp.uint64(seen) << wp.uint64(first_frame & 31)
-    all_masks[row, word] = all_masks[row, word] | wp.uint32(bits & wp.uint64(0xFFFFFFFF))
-    high = wp.uint32(bits >> wp.uint64(32))
-    if high != wp.uint32(0):
-        all_masks[row, word + 1] = all_masks[row, word + 1] | high
 
 
 @cache
 def depth_value(depth_type: type, *, weighted: bool) -> tuple[Any, Any]:
     """Return the Warp function of an ``Oracle`` for depth of a type, uint16 or float32, and the struct it takes."""
     declared = f"constexpr bool WEIGHTED = {str(weighted).lower()};\n"
-    declared += f"constexpr float NONE = {NOT_KNOWN}f;\n"
+    declared += f"constexpr float NONE = {NOT_KNOWN}f, BEHIND = {BEHIND}f;\n"
 
-    @wp.func_native(declared + _VALUE_IN_CPP)
+    @wp.func_native(declared + LOOK_IN_CPP + _VALUE_IN_CPP)
     def average_distance(
         x: float,
         y: float,
         z: float,
         row: int,
-        masks: wp.array2d(dtype=wp.uint32),
         depth: wp.array3d(dtype=depth_type),
         pixel_weights: wp.array3d(dtype=float),
         depth_scale: float,
+        intrinsics: wp.vec4,
         pixel_from_lattice: wp.array(dtype=wp.mat44),
         truncation: float,
-        behind: float,
+        voxel_size: float,
+        chosen: wp.array2d(dtype=int),
+        counts: wp.array(dtype=int),
     ) -> float:
-        """Return the average in units of the truncation, NOT_KNOWN where no frame says anything."""
+        """Return the average in voxels, NOT_KNOWN where no frame says anything."""
+
+    all_views: Any = views_type(depth_type)
 
     @wp.struct
     class DepthState:
-        """The frames of all batches, as in ``FrameBatch``.
+        """The frames, and for each part of ``blocks`` (4 · blocks,) those ``chosen`` and their ``counts``."""
 
-        ``masks`` (4 · blocks, words): frame 32·w + i is bit i of word w where it may see the block's part. ``behind``
-        is in units of the truncation.
-        """
-
+        views: all_views
         blocks: wp.array(dtype=wp.vec3i)
-        masks: wp.array2d(dtype=wp.uint32)
-        depth: wp.array3d(dtype=depth_type)
-        pixel_weights: wp.array3d(dtype=float)
-        depth_scale: float
-        pixel_from_lattice: wp.array(dtype=wp.mat44)
-        truncation: float
-        behind: float
-        voxels_a_truncation: float
+        chosen: wp.array2d(dtype=int)
+        counts: wp.array(dtype=int)
 
     @wp.func
     def value(state: DepthState, number: int, point: wp.vec3) -> float:
@@ -160,74 +104,86 @@ def depth_value(depth_type: type, *, weighted: bool) -> tuple[Any, Any]:
         block = state.blocks[number]
         y = wp.clamp(int(wp.floor(point[1])) - 8 * block[1], 0, 7)
         z = wp.clamp(int(wp.floor(point[2])) - 8 * block[2], 0, 7)
-        row = _PARTS * number + (y >> 2) + 2 * (z >> 2)
-        average = average_distance(
+        return average_distance(
             point[0],
             point[1],
             point[2],
-            row,
-            state.masks,
-            state.depth,
-            state.pixel_weights,
-            state.depth_scale,
-            state.pixel_from_lattice,
-            state.truncation,
-            state.behind,
+            _PARTS * number + (y >> 2) + 2 * (z >> 2),
+            state.views.depth,
+            state.views.pixel_weights,
+            state.views.depth_scale,
+            state.views.intrinsics,
+            state.views.pixel_from_lattice,
+            state.views.truncation,
+            state.views.voxel_size,
+            state.chosen,
+            state.counts,
         )
-        if average < 2.0:
-            return state.voxels_a_truncation * average
-        return NOT_KNOWN
 
     return value, DepthState
+
+
+@wp.kernel
+def _keep_centers(poses: wp.array(dtype=wp.mat44), voxel_size: float, centers: wp.array(dtype=wp.vec3)) -> None:
+    frame = wp.tid()
+    pose = poses[frame]
+    centers[frame] = wp.vec3(pose[0, 3], pose[1, 3], pose[2, 3]) / voxel_size
 
 
 class DepthField:
     """The frames that were integrated into a volume, kept to ask for their field: ``add`` batches, then ``oracle``.
 
     ``frames`` is how many there will be, ``options`` what they were integrated with; depth is taken between pixels
-    whatever these say.
+    whatever these say. About each part of a block at most ``most_frames`` are asked.
     """
 
-    def __init__(self, volume: Volume, options: Integration, *, frames: int) -> None:
+    def __init__(self, volume: Volume, options: Integration, *, frames: int, most_frames: int = MOST_FRAMES) -> None:
         self.volume = volume
         self.options = options
         self.frames = frames
+        self.most_frames = most_frames
         self._count = 0
-        self._value: Any = None
-        self._state_type: Any = None
-        self._state: Any = None
+        self._views: Any = None
+        self._depth_type: Any = None
 
     def add(self, batch: FrameBatch) -> None:
         """Copy a batch's images; raises InputError where those of all frames do not fit into memory."""
-        volume, state = self.volume, self._state
+        volume = self.volume
         weights = pixel_weights(batch, self.options.weighting, step=volume.truncation)
-        if state is None:
+        if self._views is None:
             weighted = weights is not None
             _require_memory(volume, batch, self.frames, weighted=weighted)
-            self._value, self._state_type = depth_value(batch.depth.dtype, weighted=weighted)
-            state = self._state = _empty_state(self._state_type, volume, batch, self.frames, weighted=weighted)
+            self._depth_type = batch.depth.dtype
+            self._views = _empty_views(volume, batch, self.frames, weighted=weighted)
+        views = self._views
         images = slice(self._count, self._count + len(batch))
-        wp.copy(state.depth[images], batch.depth)
+        wp.copy(views.depth[images], batch.depth)
         if weights is not None:
-            wp.copy(state.pixel_weights[images], weights)
+            wp.copy(views.pixel_weights[images], weights)
         matrices = frame_matrices(batch, volume.voxel_size)
-        wp.copy(state.pixel_from_lattice[images], matrices.pixel_from_lattice)
-        tiles = survey_batch(batch, truncation=volume.truncation)
-        masks = visible_blocks(volume.table, batch, tiles, matrices, truncation=volume.truncation)
-        launch_in_slabs(
-            _spread_masks,
-            dim=PARTS * volume.table.count,
-            inputs=[volume.table.blocks, volume.table.keys, volume.table.numbers, masks, self._count],
-            outputs=[state.masks],
+        wp.copy(views.pixel_from_lattice[images], matrices.pixel_from_lattice)
+        wp.launch(
+            _keep_centers,
+            dim=len(batch),
+            inputs=[matrices.world_from_camera, volume.voxel_size],
+            outputs=[views.centers[images]],
             device=volume.device,
-            least_slab=1024,
         )
         self._count += len(batch)
 
+    def kernel(self) -> Kernel:
+        """Return the kernel that chooses frames, made for those that were added, to be compiled ahead."""
+        return score_kernel(self._depth_type, weighted=self._views.pixel_weights.size > 0)
+
     def oracle(self) -> Oracle:
-        """Return the oracle of all frames."""
+        """Choose which frames are asked where, and return the oracle."""
         assert self._count == self.frames, "as many frames as were announced"
-        return Oracle(self._value, self._state_type, self._state)
+        value, state_type = depth_value(self._depth_type, weighted=self._views.pixel_weights.size > 0)
+        state = state_type()
+        state.views = self._views
+        state.blocks = self.volume.table.blocks
+        state.chosen, state.counts = choose_frames(self.volume, self._views, self.kernel(), most=self.most_frames)
+        return Oracle(value, state_type, state)
 
 
 def _require_memory(volume: Volume, batch: FrameBatch, frames: int, *, weighted: bool) -> None:
@@ -242,17 +198,16 @@ def _require_memory(volume: Volume, batch: FrameBatch, frames: int, *, weighted:
         )
 
 
-def _empty_state(state_type: Any, volume: Volume, batch: FrameBatch, frames: int, *, weighted: bool) -> Any:
+def _empty_views(volume: Volume, batch: FrameBatch, frames: int, *, weighted: bool) -> Any:
     device, camera = volume.device, batch.camera
     shape = (frames, camera.height, camera.width)
-    state = state_type()
-    state.blocks = volume.table.blocks
-    state.masks = wp.zeros((PARTS * volume.table.count, -(-frames // 32)), dtype=wp.uint32, device=device)
-    state.depth = wp.empty(shape, dtype=batch.depth.dtype, device=device)
-    state.pixel_weights = wp.empty(shape if weighted else (0, 0, 0), dtype=float, device=device)
-    state.depth_scale = batch.depth_scale
-    state.pixel_from_lattice = wp.empty(frames, dtype=wp.mat44, device=device)
-    state.truncation = volume.truncation
-    state.behind = BEHIND * volume.voxel_size / volume.truncation
-    state.voxels_a_truncation = volume.truncation / volume.voxel_size
-    return state
+    views = views_type(batch.depth.dtype)()
+    views.depth = wp.empty(shape, dtype=batch.depth.dtype, device=device)
+    views.pixel_weights = wp.empty(shape if weighted else (0, 0, 0), dtype=float, device=device)
+    views.depth_scale = batch.depth_scale
+    views.intrinsics = wp.vec4(camera.fx, camera.fy, camera.cx, camera.cy)
+    views.pixel_from_lattice = wp.empty(frames, dtype=wp.mat44, device=device)
+    views.centers = wp.empty(frames, dtype=wp.vec3, device=device)
+    views.truncation = volume.truncation
+    views.voxel_size = volume.voxel_size
+    return views
