@@ -17,6 +17,7 @@ from ..results.scene_units import pose_in_metres
 from ..settings import RECONSTRUCTION
 from .bring_in import bring_in
 from .scene_reference import SceneReference, push_undo
+from .status import status_of
 
 DATASET_QUERIES = ("FRAME", "HELD_OUT")
 DEPTH_STEP_KEY = "depth_scale"
@@ -65,6 +66,9 @@ def _queries(job: Job, record: Record, query: LocateQuery, unit: float) -> Work[
     if settings["query"] == "HELD_OUT":
         return record.dataset, None
     if settings["query"] == "FRAME":
+        count = status_of(record.folder.parent, record.dataset).frame_count
+        if count and settings["frame"] >= count:
+            raise ReconstructionError(f"There is no frame {settings['frame']}; the dataset's are 0 to {count - 1}")
         return record.dataset, f"{settings['frame']}:{settings['frame'] + 1}"
     single = job.folder / "query"
     if settings["query"] == "FILES":

@@ -1,5 +1,6 @@
 """Saved files, dropped files, and what is left of the extension when it goes."""
 
+import tempfile
 import time
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from blender_addon.results.import_reconstruction import import_reconstruction
 from blender_addon.results.live_mesh import LiveMesh, remove_live_meshes
 from blender_addon.results.mesh_import import create_mesh_object, fill_mesh
 from blender_addon.results.scene_collection import FOLDER_KEY, MESH_PART, parts
+from blender_addon.settings import scan_folder
 
 HANDLERS = ("load_post", "save_pre", "save_post", "save_post_fail", "undo_post", "redo_post")
 
@@ -45,6 +47,25 @@ def test_a_saved_file_has_relative_paths_and_reopens_with_all_in_place(sphere_sc
         assert bpy.ops.scanback.step_view(step=1) == {"FINISHED"}
         assert bpy.ops.scanback.import_reconstruction(directory=str(sphere_scan.folder)) == {"FINISHED"}
         assert len([c for c in bpy.data.collections if FOLDER_KEY in c]) == 1
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("extension")
+def test_a_scan_stays_the_scenes_where_the_file_is_saved_or_renamed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The folder that an empty setting stands for goes with the file, the scan does not."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "cache"))
+    scene = bpy.context.scene
+    bpy.ops.mesh.primitive_cube_add()
+    assert bpy.ops.scanback.scan(frames=1, width=8, height=8, preset="draft") == {"FINISHED"}
+    there = scan_folder(scene)
+    assert there.is_relative_to(tmp_path / "cache")
+    for name in ("one.blend", "two.blend"):
+        bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / name))
+        assert scan_folder(scene) == there
+        assert (there / "dataset" / "dataset.json").is_file()
+        assert scene.scanback.folder.startswith("//")
 
 
 @pytest.mark.usefixtures("extension")

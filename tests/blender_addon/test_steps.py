@@ -244,6 +244,11 @@ def test_a_frame_is_located_where_it_was_left_out(fused: Path) -> None:
     assert tuple(background.image.size) == (64, 48)
 
 
+def test_a_frame_that_is_not_there_is_told_in_plain_words(fused: Path) -> None:
+    with pytest.raises(RuntimeError, match="There is no frame 10; the dataset's are 0 to 9"):
+        bpy.ops.scanback.locate(folder=str(fused), query="FRAME", frame=10)
+
+
 @pytest.mark.slow
 def test_image_files_are_located_as_the_frame_that_they_are_from(fused: Path) -> None:
     frames = fused / "dataset" / "frames"
