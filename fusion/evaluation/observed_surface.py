@@ -37,7 +37,7 @@ CLEAR_SIGHT = 1.0 - 1e-4
 
 
 @cache
-def _kernel(depth_type: type) -> Kernel:
+def kernel(depth_type: type) -> Kernel:
     """Return the kernel for depth of a type, uint16 or float32; its threads take a point each."""
 
     @wp.kernel(module="unique", enable_backward=False)
@@ -126,7 +126,7 @@ class PointMarks:
         """Mark what a batch of frames observes."""
         camera = batch.camera
         launch_in_slabs(
-            _kernel(batch.depth.dtype),
+            kernel(batch.depth.dtype),
             dim=len(self._points),
             inputs=[
                 self._truth.id,
