@@ -15,7 +15,7 @@ from datagen.rigid import Matrix, rigid
 from fusion.pose.pose_distance import first_apart, pose_distances
 from fusion.pose.small_query import SmallQuery, small_query
 from fusion.pose.view_index import ViewIndex
-from fusion.pose.view_search import APART, Alignments, align_all_over, align_with_similar_views, aligned_again
+from fusion.pose.view_search import APART, Alignments, align_all_over, align_best_again, align_with_similar_views
 
 LARGEST_DIFFERENCE = 0.1
 """Depths differ by at most this share of the query's median depth; more, or no surface at all, counts as much."""
@@ -23,8 +23,9 @@ LARGEST_DIFFERENCE = 0.1
 AMBIGUOUS_MARGIN = 0.25
 """A second alignment whose cost is larger by no more than this share of it is as good as the first."""
 
-SURE_COST = 0.25
-"""Of the alignment with the nearest view; above it what was tried may have been nowhere near."""
+SURE_COST = 1 / 3
+"""Of the alignment with the nearest view: where less than two thirds agree, what was tried may have been nowhere near.
+Pixels at edges, and what one of the two does not see, disagree in a right one, too."""
 
 OTHERS = 3
 _OTHERS_MARGIN = 1.0
@@ -70,19 +71,18 @@ def find_nearest_pose(
     depth, or the mask covers none.
     """
     query = small_query(index, depth, mask)
-    tried = align_with_similar_views(index, query)
-    pose, cost = aligned_again(index, query, tried.poses[0])
-    if cost > SURE_COST or tried.margin(depth=query.typical_depth) < AMBIGUOUS_MARGIN:
-        tried = align_all_over(index, query, tried)
-        pose, cost = tried.poses[0], float(tried.costs[0])
-    estimate = rigid(pose, source="alignment with the model's views")
+    similar = align_with_similar_views(index, query)
+    tried = align_best_again(index, query, similar)
+    if tried.costs[0] > SURE_COST or tried.margin(depth=query.typical_depth) < AMBIGUOUS_MARGIN:
+        tried = align_all_over(index, query, similar)
+    estimate = rigid(tried.poses[0], source="alignment with the model's views")
     distances = pose_distances(index.world_from_camera, estimate, depth=query.typical_depth)
     nearest = np.argsort(distances, kind="stable")[:count]
     return NearestPose(
         indices=nearest,
         scores=_mean_squared_differences(index, nearest, query),
         estimate=estimate,
-        cost=cost,
+        cost=float(tried.costs[0]),
         margin=tried.margin(depth=query.typical_depth),
         others=_others(tried, depth=query.typical_depth),
     )

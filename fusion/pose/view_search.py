@@ -131,20 +131,23 @@ def _on_line_of_sight(index: ViewIndex, views: NDArray[np.int64], query: SmallQu
     return guesses
 
 
-def aligned_again(index: ViewIndex, query: SmallQuery, pose: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
-    """Align a query, whose pose is about known, with the view that is nearest to it.
+def align_best_again(index: ViewIndex, query: SmallQuery, known: Alignments) -> Alignments:
+    """Align a query again, each time with the view that is nearest by now: from the best pose, and the best elsewhere.
 
-    Returns its world_from_camera, rigid to a float32's rounding, and the cost.
+    Against views some way off, right poses and wrong ones cost about alike. Poses are rigid to a float32's rounding.
     """
-    view = int(pose_distances(index.world_from_camera, pose, depth=query.typical_depth).argmin())
-    world_from_view = index.world_from_camera[view]
+    poses = known.poses[first_apart(known.poses, apart=APART, depth=query.typical_depth, most=2)]
+    views = np.array(
+        [pose_distances(index.world_from_camera, pose, depth=query.typical_depth).argmin() for pose in poses]
+    )
+    world_from_views = index.world_from_camera[views]
     found = register(
         index,
-        np.array([view]),
+        views,
         query,
-        (inverse(world_from_view) @ pose)[None],
+        np.stack([inverse(view) @ pose for view, pose in zip(world_from_views, poses, strict=True)]),
         points=_LAST_POINTS,
         iterations=_LAST_ITERATIONS,
         widest_gate=_LAST_GATE,
     )
-    return world_from_view @ found.view_from_query[0], float(found.costs[0])
+    return _sorted(world_from_views @ found.view_from_query, found.costs)
