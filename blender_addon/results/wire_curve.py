@@ -5,6 +5,7 @@ and see its walls.
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import bpy
 import numpy as np
@@ -33,8 +34,8 @@ def render_as_tubes(item: bpy.types.Object, *, radius: float, material: bpy.type
     """Have an object's lines rendered as tubes of a radius and a material."""
     modifier = item.modifiers.new("Tubes", "NODES")
     modifier.node_group = _tubes()
-    modifier[_input(modifier.node_group, "Radius")] = radius
-    modifier[_input(modifier.node_group, "Material")] = material
+    _give(modifier, "Radius", radius)
+    _give(modifier, "Material", material)
     modifier.show_viewport = False
 
 
@@ -46,8 +47,25 @@ def tubes_of(item: bpy.types.Object) -> set[bpy.types.NodeTree]:
 def materials_of_tubes(item: bpy.types.Object) -> set[bpy.types.Material]:
     """Return the materials that an object's tubes have."""
     ours = [modifier for modifier in item.modifiers if modifier.type == "NODES" and modifier.node_group is not None]
-    found = {modifier.get(_input(modifier.node_group, "Material")) for modifier in ours}
+    found = {_given(modifier, "Material") for modifier in ours}
     return {material for material in found if isinstance(material, bpy.types.Material)}
+
+
+def _give(modifier: Any, name: str, value: Any) -> None:
+    """Set an input of a modifier's node group, which has its own place since Blender 5.2."""
+    key = _input(modifier.node_group, name)
+    if hasattr(modifier, "properties"):
+        getattr(modifier.properties.inputs, key).value = value
+    else:
+        modifier[key] = value
+
+
+def _given(modifier: Any, name: str) -> Any:
+    """Return what an input of a modifier's node group is set to, None where it has none of that name."""
+    key = _input(modifier.node_group, name)
+    if hasattr(modifier, "properties"):
+        return getattr(getattr(modifier.properties.inputs, key, None), "value", None)
+    return modifier.get(key)
 
 
 def _input(group: bpy.types.NodeTree, name: str) -> str:
