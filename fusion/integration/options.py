@@ -16,7 +16,8 @@ class Integration:
     ``depth_sampling``: the pixel nearest to a voxel's projection, or ``bilinear``: between the four around it, in
     inverse depth, which is exact on planes. Where those four lie across an edge in depth, by more than the truncation,
     or one has no depth, the frame says nothing about the voxel: the nearest would carry the one surface's depth over to
-    the other side of its outline.
+    the other side of its outline. A surface that is seen so slantingly that it spans as much from pixel to pixel, but
+    goes on beside them, counts for 1/255: it is there where no frame sees it better.
     ``weighting``: w_new of a pixel: 1, (1 m / z)², as the noise of depth cameras grows with z², or the cosine between
     the viewing ray and the surface's normal. ``drop_off``: behind the surface the weight falls linearly to 0 at −t, so
     that the far side of thin parts is disturbed less. ``weight_cap`` bounds a voxel's weight, so that new frames keep

@@ -17,6 +17,7 @@ import warp as wp
 
 from fusion.devices import Kernel
 from fusion.frames.frame_batch import MAX_BATCH
+from fusion.integration.slanted_surface import CONTINUES_IN_CPP
 from fusion.volume.block_table import BLOCK_SIDE, BLOCK_VOXELS
 from fusion.volume.voxels import PACKING_IN_CPP, Voxels
 
@@ -77,6 +78,7 @@ _MEASURE_IN_CPP = """
             const auto *depths = frames.depth.data + image;
             float d[LANES], w_new[LANES];
             int seen[LANES];
+            unsigned int slanted = 0;
             for (int i = 0; i < LANES; ++i) {
                 const float z_pixel = frames.depth_scale * (float)depths[pixels[k][i]];
                 d[i] = z_pixel - zs[k][i];
@@ -97,10 +99,15 @@ _MEASURE_IN_CPP = """
                     const float low_ab = a < b ? a : b, low_ce = c < e ? c : e, low = low_ab < low_ce ? low_ab : low_ce;
                     const float high_ab = a > b ? a : b, high_ce = c > e ? c : e;
                     const float high = high_ab > high_ce ? high_ab : high_ce;
-                    seen[i] &= (low > 0.0f) & ((high - low) * frames.depth_scale <= truncation);
+                    seen[i] &= low > 0.0f;
                     const float inverse = (1.0f - dv) * ((1.0f - du) / a + du / b) + dv * ((1.0f - du) / c + du / e);
                     d[i] = seen[i] ? frames.depth_scale / inverse - zs[k][i] : 0.0f;
                     seen[i] &= d[i] >= -truncation;
+                    slanted |= (unsigned int)(seen[i] & ((high - low) * frames.depth_scale > truncation)) << i;
+                }
+                for (unsigned int some = slanted; some != 0; some &= some - 1) {
+                    const int i = first_bit(some);
+                    seen[i] = is_one_surface(depths, (int)(us[k][i] + 0.5f), (int)(vs[k][i] + 0.5f));
                 }
             }
             unsigned int near_lanes = 0;
@@ -109,6 +116,7 @@ _MEASURE_IN_CPP = """
                 const float t_d = ratio < 1.0f ? ratio : 1.0f;
                 float w = WEIGHTED ? frames.pixel_weights.data[image + pixels[k][i]] : 1.0f;
                 if (DROP_OFF) w *= ratio < 0.0f ? 1.0f + ratio : 1.0f;
+                if (BILINEAR) w *= slanted >> i & 1 ? FAINT : 1.0f;
                 w_new[i] = seen[i] ? w : 0.0f;
                 distances[i] += seen[i] ? w_new[i] * t_d : 0.0f;
                 weights[i] += w_new[i];
@@ -236,10 +244,11 @@ def kernel(depth_type: type, *, by_voxel: bool, bilinear: bool, weighted: bool, 
     # On CUDA a voxel's frames stay in registers one by one; others wait for memory in the meantime.
     lanes, frames_at_once = (1, 1) if by_voxel else (BLOCK_SIDE, MAX_BATCH)
     declared += f"constexpr int LANES = {lanes}, FRAMES = {frames_at_once};\n"
-    steps = (PACKING_IN_CPP, _BEGIN_IN_CPP, _PROJECT_IN_CPP, _MEASURE_IN_CPP, _COLOR_IN_CPP, _ADD_IN_CPP)
+    start = (declared, PACKING_IN_CPP, _BEGIN_IN_CPP, CONTINUES_IN_CPP)
+    steps = (_PROJECT_IN_CPP, _MEASURE_IN_CPP, _COLOR_IN_CPP, _ADD_IN_CPP)
     frames_struct = frames_type(depth_type)
 
-    @wp.func_native("".join((declared, *steps)))
+    @wp.func_native("".join((*start, *steps)))
     def integrate_lanes(
         frame_mask: wp.uint32,
         x: float,

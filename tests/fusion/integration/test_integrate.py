@@ -31,8 +31,30 @@ def color_confidence(depth):
     return np.where((low > 0) & (high - low <= TRUNCATION), 1, 1 / 255)
 
 
+def neighbour_differs(inverse_depth, u, v, along, at):
+    """Between pixels (u, v) + at and the next ``along`` an axis: how far that is, in metres, from what lies beside.
+
+    Infinite where neither of the pixels beside has depth.
+    """
+    step = np.array(along)
+
+    def of(number):
+        x, y = u + at[0] + number * step[0], v + at[1] + number * step[1]
+        inside = (x >= 0) & (y >= 0) & (x < CAMERA.width) & (y < CAMERA.height)
+        return np.where(inside, inverse_depth[y % CAMERA.height, x % CAMERA.width], 0)
+
+    before, a, b, after = (of(number) for number in (-1, 0, 1, 2))
+    outside = np.minimum(a, b) == 0  # of the image: there the four pixels are two
+    product = np.where(outside, 1, a * b)
+    differences = [
+        np.where(beside > 0, np.abs((b - a) - slope) / product, np.inf)
+        for beside, slope in ((before, a - before), (after, after - b))
+    ]
+    return np.where(outside, 0, np.minimum(*differences))
+
+
 def bilinear_depth(depth, pixels):
-    """Between four pixels in inverse depth, 0 where they are not of one surface; and how clearly they are or not."""
+    """Between four pixels in inverse depth, 0 where they are not of one surface; its weight; how clear that is."""
     u0, v0 = np.floor(pixels).astype(int).T
     du, dv = (pixels - np.floor(pixels)).T
     corners = [
@@ -42,9 +64,15 @@ def bilinear_depth(depth, pixels):
     ]
     low, high = np.min(corners, 0), np.max(corners, 0)
     smooth = (low > 0) & (high - low <= TRUNCATION)
-    a, b, c, e = (1 / np.where(smooth, corner, 1) for corner in corners)
+    inverse_depths = np.where(depth > 0, 1 / np.where(depth > 0, depth.astype(float), 1), 0)
+    sides = (((1, 0), (0, 0)), ((1, 0), (0, 1)), ((0, 1), (0, 0)), ((0, 1), (1, 0)))
+    bend = np.max([neighbour_differs(inverse_depths, u0, v0, *side) for side in sides], axis=0)
+    whole = smooth | ((low > 0) & (bend <= TRUNCATION))
+    a, b, c, e = (1 / np.where(whole, corner, 1) for corner in corners)
     inverse_depth = (1 - dv) * ((1 - du) * a + du * b) + dv * ((1 - du) * c + du * e)
-    return np.where(smooth, 1 / inverse_depth, 0), np.where(low > 0, np.abs(high - low - TRUNCATION), 1)
+    clear = np.where(smooth, np.inf, np.abs(bend - TRUNCATION))
+    clear = np.where(low > 0, np.minimum(np.abs(high - low - TRUNCATION), clear), 1)
+    return np.where(whole, 1 / inverse_depth, 0), np.where(smooth, 1, 1 / 255), clear
 
 
 def reference(frames, confidences, block, options=PAPER):
@@ -59,10 +87,11 @@ def reference(frames, confidences, block, options=PAPER):
         inside = (points[:, 2] > 0) & (u >= 0) & (v >= 0) & (u < CAMERA.width) & (v < CAMERA.height)
         u, v = u % CAMERA.width, v % CAMERA.height
         d_pixel = np.where(inside, frame.depth[v, u], 0)
-        step = np.inf
+        step, faint = np.inf, 1
         if options.depth_sampling == "bilinear":
-            sampled, step = bilinear_depth(frame.depth, pixels)
-            d_pixel = np.where(inside & (d_pixel > 0), sampled, 0)
+            sampled, faint, step = bilinear_depth(frame.depth, pixels)
+            step = np.minimum(step, np.abs(d_pixel - points[:, 2] + 2 * TRUNCATION))
+            d_pixel = np.where(inside & (d_pixel > 0) & (d_pixel - points[:, 2] >= -2 * TRUNCATION), sampled, 0)
         d = d_pixel - points[:, 2]
         new = (d_pixel > 0) & (d >= -TRUNCATION)
         t_d = np.maximum(-1, np.minimum(1, d / TRUNCATION))
@@ -71,7 +100,7 @@ def reference(frames, confidences, block, options=PAPER):
             w = 1 / np.where(new, frame.depth[v, u].astype(float), 1) ** 2
         if options.drop_off:
             w = w * np.where(d < 0, 1 + d / TRUNCATION, 1)
-        w = np.where(new, w, 0)
+        w = np.where(new, w * faint, 0)
         total = np.where(weight + w > 0, weight + w, 1)
         distance = np.where(new, (weight * distance + w * t_d) / total, distance)
         weight += w
