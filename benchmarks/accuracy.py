@@ -5,10 +5,11 @@
     python benchmarks/accuracy.py --scenes suzanne --mesh dataset/ground_truth/mesh.ply --voxel-sizes 0.004
 
 Depth is ray-cast at the pixels' centres, so all that a mesh departs from the truth is the fusion's own doing. The mesh
-is held against the whole truth, the truth that some camera sees against the mesh; lengths are in voxels. "well seen" is
-the F-score over what three cameras see, none from more than 72° beside the normal: no voxel size makes a surface of a
-slit that one camera looks into. A second layer of surface would show in the last columns: mesh area that lies more than
-1.5 voxels from the truth, or faces the wrong way, mesh area per area of observed truth, and components.
+is held against the whole truth, the truth that was observed (``fusion.evaluation.observed_surface``) against the mesh;
+lengths are in voxels. "in sight" is the F-score over all that a line of sight reaches, whether a pixel measured it or
+not, "well seen" over what three cameras see, none from more than 72° beside the normal: no voxel size makes a surface
+of a slit that one camera looks into. A second layer of surface would show in the last columns: mesh area that lies more
+than 1.5 voxels from the truth, or faces the wrong way, mesh area per area of observed truth, and components.
 """
 
 import argparse
@@ -79,7 +80,8 @@ def mesh_of(volume, scene, options, integration):
 
 def measure(mesh, scene, voxel_size):
     """Return a mesh's measures against the scene's truth, by column."""
-    ours, truth = sample_surface(mesh, SAMPLES, rng=np.random.default_rng(1)), scene.observed
+    ours, truth = sample_surface(mesh, SAMPLES, rng=np.random.default_rng(1)), scene.in_sight
+    observed = scene.is_observed
     to_truth, true_normals = scene.distances(ours.points)
     closest = closest_points(mesh, truth.points, device=scene.device)
     corners = mesh.vertices.astype(np.float64)[mesh.triangles]
@@ -87,18 +89,20 @@ def measure(mesh, scene, voxel_size):
     areas = np.linalg.norm(crosses, axis=1) / 2
     normals = crosses / np.maximum(2 * areas, 1e-300)[:, None]
     cosines = np.einsum("ij,ij->i", ours.normals, true_normals)
-    recall_cosines = np.einsum("ij,ij->i", truth.normals, normals[closest.triangles])
+    recall_cosines = np.einsum("ij,ij->i", truth.normals, normals[closest.triangles])[observed]
+    missing = closest.distances[observed].mean()
     near, found = (to_truth < voxel_size / 2).mean(), closest.distances < voxel_size / 2
 
     def fscore(recall):
         return 200 * near * recall / (near + recall)
 
     return {
-        "chamfer": (to_truth.mean() + closest.distances.mean()) / 2 / voxel_size,
+        "chamfer": (to_truth.mean() + missing) / 2 / voxel_size,
         "accuracy": to_truth.mean() / voxel_size,
-        "completeness": closest.distances.mean() / voxel_size,
-        "F at ½ (%)": fscore(found.mean()),
-        "well seen (%)": fscore(found[scene.well_seen].mean()),
+        "completeness": missing / voxel_size,
+        "F at ½ (%)": fscore(found[observed].mean()),
+        "in sight (%)": fscore(found.mean()),
+        "well seen (%)": fscore(found[scene.is_well_seen].mean()),
         "normals": (np.abs(cosines).mean() + np.abs(recall_cosines).mean()) / 2,
         "far (%)": 100 * (to_truth > FAR_VOXELS * voxel_size).mean(),
         "flipped (%)": 100 * (cosines < 0).mean(),

@@ -11,6 +11,8 @@ from datagen.camera import PinholeCamera
 from datagen.rigid import inverse, look_at
 from fusion.devices import launch_in_slabs
 from fusion.evaluation.evaluate import SurfaceSamples, sample_surface
+from fusion.evaluation.observed_surface import PointMarks
+from fusion.frames.frame_batch import MAX_BATCH, FrameUploader
 from fusion.surface.closest_points import closest_points
 from fusion.surface.mesh import Mesh
 from fusion.surface.mesh_files import read_mesh
@@ -102,14 +104,16 @@ class SphereScene(Scene):
         return np.abs(radii - SPHERE_RADIUS), offsets / radii[:, None]
 
     @cached_property
-    def observed(self):
+    def in_sight(self):
         directions = np.random.default_rng(0).normal(size=(SAMPLES, 3))
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
         return SurfaceSamples(points=SPHERE_CENTRE + SPHERE_RADIUS * directions, normals=directions)
 
     @property
-    def well_seen(self):
+    def is_observed(self):
         return np.ones(SAMPLES, dtype=bool)
+
+    is_well_seen = is_observed
 
     @property
     def observed_area(self):
@@ -165,20 +169,30 @@ class MeshScene(Scene):
         return samples, views.numpy()
 
     @cached_property
-    def observed(self):
+    def in_sight(self):
+        """What a line of sight from some camera reaches."""
         samples, views = self._views
         seen = views[:, 0] > 0
         return SurfaceSamples(points=samples.points[seen], normals=samples.normals[seen])
 
+    @cached_property
+    def is_observed(self):
+        """Which of the samples in sight the depth images observed."""
+        marks = PointMarks(self.in_sight.points, self.in_sight.normals, self.mesh, device=self.device)
+        upload = FrameUploader(CAMERA, device=self.device)
+        for first in range(0, len(self.poses), MAX_BATCH):
+            marks.mark(upload(self.depths[first : first + MAX_BATCH], self.poses[first : first + MAX_BATCH]))
+        return marks.observed()
+
     @property
-    def well_seen(self):
-        """Which of the observed samples."""
+    def is_well_seen(self):
+        """Which of the samples in sight."""
         _, views = self._views
         return views[views[:, 0] > 0, 1] >= WELL_SEEN_VIEWS
 
     @property
     def observed_area(self):
-        return self.area * (self._views[1][:, 0] > 0).mean()
+        return self.area * self.is_observed.sum() / SAMPLES
 
 
 def poses_around(count, *, centre, nearest, farthest, lowest=-1.0, highest=1.0):
