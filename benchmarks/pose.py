@@ -34,7 +34,7 @@ from fusion.evaluation.pose_errors import recall, within
 from fusion.pose.depth_refinement import DepthRefinementOptions, refine_with_depth
 from fusion.pose.query import query_cloud
 from fusion.pose.stages import refine
-from fusion.pose_benchmark.protocol import chosen_trials, parse_trials, trials_of
+from fusion.pose_benchmark.protocol import parse_trials, trials_for
 from fusion.pose_benchmark.run_case import pose_errors
 from fusion.pose_benchmark.scanned_subject import scanned_subject
 from fusion.pose_benchmark.tasks import Case, make_task, timed
@@ -48,7 +48,8 @@ PEER_POINTS = 8000
 
 def scanback(model, _options):
     def locate(task):
-        return refine(model, task.query, task.references, task.start, task.case.trial.stages)[-1].world_from_camera
+        stages, others = task.case.trial.stages, task.others
+        return refine(model, task.query, task.references, task.start, stages, others=others)[-1].world_from_camera
 
     return locate
 
@@ -268,7 +269,7 @@ def main():
     lines = []
     for subject in subjects_of(options, resolve_device("cpu")):
         width = subject.view(subject.queries[0]).camera.width
-        for trial in chosen_trials(trials_of(subject.kind, width_px=width), parse_trials(options.trials)):
+        for trial in trials_for(subject, parse_trials(options.trials), width_px=width):
             tasks = tasks_of(subject, trial, options)
             header(subject, trial, tasks)
             for name, make in contenders(trial, subject.model, options).items():
