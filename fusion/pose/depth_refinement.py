@@ -28,9 +28,9 @@ Starts = Literal["auto", "one", "many", "here"]
 
 FEWEST_POINTS = 60
 _ABOUT = (starts_about, starts_all_about)
-_ENOUGH, _ENOUGH_OF_A_SEARCH = 0.9, 0.65
-"""Share of the view that has to be explained for no other start to be tried: where nothing is known but the start, a
-pose that slid along a floor explains much of it, too."""
+_ENOUGH, _ENOUGH_OF_A_SCENE = 0.65, 0.9
+"""Share of the view that has to be explained for no other start to be tried. Of a part of a scene, with nothing known
+but the start, it is more: a pose that slid along a floor explains much of it, too."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,7 +100,8 @@ def _searched(
     if best is not None and options.starts == "one":
         return best
     # What a search all over the model has not found is not found by one all about the start.
-    searches, enough = ((starts_about,), _ENOUGH_OF_A_SEARCH) if others is not None else (_ABOUT, _ENOUGH)
+    searches = _ABOUT if others is None else _ABOUT[:1]
+    enough = _ENOUGH_OF_A_SCENE if others is None and problem.is_cut else _ENOUGH
     for more in searches:
         if best is not None and problem.explained(best) > enough:
             break
