@@ -62,7 +62,8 @@ def reconstruct(
 ) -> Reconstruction:
     """Fuse a dataset and write the reconstruction into ``folder``, its record last.
 
-    ``watch`` is shown the volume while it grows.
+    ``watch`` is shown the volume while it grows: frames then come in smaller batches, and packed voxels are rounded
+    more often.
     Raises InputError for frames that cannot be used, and for a volume that does not fit into memory before any of it is
     allocated; then nothing is written.
     """

@@ -30,7 +30,7 @@ def test_the_kitchen_is_fused_in_colour_and_its_frames_are_located(capsys, tmp_p
     red, green, blue = np.moveaxis(np.asarray(mesh.visual.vertex_colors[:, :3], float), -1, 0)
     assert ((red > 80) & (red > 2 * green) & (red > 2 * blue)).mean() > 0.05
 
-    assert fusion(["locate", str(tmp_path), str(KITCHEN), "--frames", "2::16", "--json"]) == 0
+    assert fusion(["locate", str(tmp_path), str(KITCHEN), "--frames", "2::32", "--json"]) == 0
     poses = json.loads(capsys.readouterr().out)
     assert np.median([pose["rotation_error_deg"] for pose in poses]) < 8
     assert np.median([pose["translation_error_m"] for pose in poses]) < 0.2

@@ -18,9 +18,10 @@ from fusion.volume.block_table import BLOCK_VOXELS
 from fusion.volume.tsdf_volume import Volume
 
 
-def lattice_of(block):
+def lattice_of(blocks):
     local = np.arange(BLOCK_VOXELS)
-    return 8 * np.array(block) + np.stack([local % 8, local // 8 % 8, local // 64], -1)
+    voxels = np.stack([local % 8, local // 8 % 8, local // 64], -1)
+    return (8 * np.array(blocks)[:, None] + voxels).reshape(-1, 3)
 
 
 def color_confidence(depth):
@@ -75,13 +76,14 @@ def bilinear_depth(depth, pixels):
     return np.where(whole, 1 / inverse_depth, 0), np.where(smooth, 1, 1 / 255), clear
 
 
-def reference(frames, confidences, block, options=PAPER):
-    """Equations (1) to (5) for one block's voxels: every frame, one after the other, as running averages in float64."""
-    distance, weight = np.ones(BLOCK_VOXELS), np.zeros(BLOCK_VOXELS)
-    color, color_weight = np.zeros((BLOCK_VOXELS, 3)), np.zeros(BLOCK_VOXELS)
-    nearest_tie = np.full(BLOCK_VOXELS, np.inf)
+def reference(frames, confidences, lattice, options=PAPER):
+    """Equations (1) to (5) for voxels (n, 3): every frame, one after the other, as running averages in float64."""
+    n = len(lattice)
+    distance, weight = np.ones(n), np.zeros(n)
+    color, color_weight = np.zeros((n, 3)), np.zeros(n)
+    nearest_tie = np.full(n, np.inf)
     for frame, confidence in zip(frames, confidences, strict=True):
-        points = transform_points(inverse(frame.world_from_camera), lattice_of(block) * VOXEL_SIZE)
+        points = transform_points(inverse(frame.world_from_camera), lattice * VOXEL_SIZE)
         pixels = CAMERA.project(points)
         u, v = np.floor(pixels + 0.5).astype(int).T
         inside = (points[:, 2] > 0) & (u >= 0) & (v >= 0) & (u < CAMERA.width) & (v < CAMERA.height)
@@ -95,7 +97,7 @@ def reference(frames, confidences, block, options=PAPER):
         d = d_pixel - points[:, 2]
         new = (d_pixel > 0) & (d >= -TRUNCATION)
         t_d = np.maximum(-1, np.minimum(1, d / TRUNCATION))
-        w = np.ones(BLOCK_VOXELS)
+        w = np.ones(n)
         if options.weighting == "inverse-square":
             w = 1 / np.where(new, frame.depth[v, u].astype(float), 1) ** 2
         if options.drop_off:
@@ -132,17 +134,17 @@ def frames():
 )
 def test_every_voxel_follows_the_papers_equations(device, frames, options):
     # Every frame has its say in every block: that frames are left out where they see nothing must not show.
-    compared = 0
     confidences = [color_confidence(frame.depth) for frame in frames]
-    for block, sums in by_block(fuse(frames, device, options)).items():
-        distance, weight, color, color_weight, clear = reference(frames, confidences, block, options)
-        np.testing.assert_allclose(sums[clear, 1], weight[clear], rtol=1e-5, atol=1e-5)
-        np.testing.assert_allclose(sums[clear, 5], color_weight[clear], rtol=1e-5, atol=1e-5)
-        seen, colored = clear & (weight > 0.02), clear & (color_weight > 0.02)
-        np.testing.assert_allclose(sums[seen, 0] / sums[seen, 1], distance[seen], atol=5e-5)
-        np.testing.assert_allclose(sums[colored, 2:5] / sums[colored, 5:], color[colored], atol=1e-2)
-        compared += seen.sum()
-    assert compared > 20_000
+    by_its_block = by_block(fuse(frames, device, options))
+    sums = np.concatenate(list(by_its_block.values()))
+    lattice = lattice_of(list(by_its_block))
+    distance, weight, color, color_weight, clear = reference(frames, confidences, lattice, options)
+    np.testing.assert_allclose(sums[clear, 1], weight[clear], rtol=1e-5, atol=1e-5)
+    np.testing.assert_allclose(sums[clear, 5], color_weight[clear], rtol=1e-5, atol=1e-5)
+    seen, colored = clear & (weight > 0.02), clear & (color_weight > 0.02)
+    np.testing.assert_allclose(sums[seen, 0] / sums[seen, 1], distance[seen], atol=5e-5)
+    np.testing.assert_allclose(sums[colored, 2:5] / sums[colored, 5:], color[colored], atol=1e-2)
+    assert seen.sum() > 20_000
 
 
 @pytest.mark.parametrize("storage", ["full", "packed"])
