@@ -2,6 +2,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 from synthetic_fusion import PAPER, TRUNCATION, VOXEL_SIZE, by_block, fuse
 from synthetic_scene import CAMERA, SphereScene
 
@@ -233,7 +234,10 @@ def test_a_pose_is_mended_as_a_reconstruction_does(live, frames):
     volumes[0].integrate(frames[0])
     volumes[1].integrate(dataclasses.replace(frames[0], world_from_camera=scaled))
     vertices = [volume.mesh().vertices for volume in volumes]
-    np.testing.assert_allclose(vertices[1], vertices[0], atol=1e-5)
+    assert len(vertices[0]) == len(vertices[1])
+    # Threads number the blocks, and vertices follow the numbers: each has its like in the other mesh, wherever that is.
+    for some, others in (vertices, vertices[::-1]):
+        assert cKDTree(others).query(some)[0].max() < 1e-5
 
 
 @pytest.mark.parametrize(
