@@ -12,6 +12,7 @@ from synthetic_scene import SphereScene, icosphere, write_dataset
 from datagen.open_dataset import open_dataset
 from fusion.cli import main
 from fusion.devices import resolve_device
+from fusion.evaluation import evaluate
 from fusion.reconstruction_config import ReconstructionConfig
 from fusion.reconstruction_files import read_record
 from fusion.report import mesher_figure, runs, subject
@@ -23,8 +24,9 @@ SCENE = SphereScene()
 
 @pytest.fixture(scope="module", autouse=True)
 def quick():
-    """Small pictures, and times taken once: what is tested depends on neither."""
+    """Small pictures, few samples of surfaces, and times taken once: what is tested depends on none of them."""
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(evaluate, "SAMPLES", 20_000)
         patch.setattr(runs, "TIMED_FOR", 0.0)
         patch.setattr(subject, "PICTURE_WIDTH", 120)
         yield
