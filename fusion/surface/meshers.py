@@ -15,6 +15,7 @@ OracleName: TypeAlias = Literal["volume", "depth"]
 _DUAL_CONTOURING = (
     "find_grid",
     "odd_cells",
+    "rim",
     "face_words",
     "edge_points",
     "cell_points",
@@ -23,6 +24,7 @@ _DUAL_CONTOURING = (
     "close_gaps",
     "pins",
     "quads",
+    "rim_polygons",
 )
 KERNEL_MODULES: dict[Mesher, tuple[str, ...]] = {
     "marching-cubes": ("fusion.surface.cells", "fusion.surface.marching_cubes"),

@@ -50,7 +50,7 @@ def _solve_cells(
         layer & 7,
         active,
         first_vertex(grid, layer, lowest),
-        grid.vertex_starts[layer][1] + wp.bit_count(grid.odd[layer] & below(lowest)),
+        grid.vertex_starts[layer][1] + wp.bit_count(grid.several[layer] & below(lowest)),
         float(corner[0]),
         float(corner[1]),
         float(corner[2] + (layer & 7)),

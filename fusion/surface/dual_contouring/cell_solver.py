@@ -4,7 +4,7 @@ from typing import Any
 
 import warp as wp
 
-from fusion.surface.dual_contouring.cell_table import NO_VERTEX, CellTables
+from fusion.surface.dual_contouring.cell_table import CellTables
 from fusion.surface.dual_contouring.dual_grid import DualGrid
 from fusion.surface.dual_contouring.lanes import ONE_LANE_IN_CPP
 from fusion.surface.dual_contouring.qef import INSET, QEF_IN_CPP
@@ -81,8 +81,7 @@ TRILINEAR_IN_CPP = (
 
 
 SOLVE_IN_CPP = (
-    f"constexpr int NO_VERTEX = {NO_VERTEX};"
-    + ONE_LANE_IN_CPP
+    ONE_LANE_IN_CPP
     + QEF_IN_CPP
     + """
     const int *ends = tables.ends.data + 5 * pattern;
@@ -117,20 +116,13 @@ SOLVE_IN_CPP = (
         }
         const float *n = all.normal, size = sqrtf(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]);
         const float inverse = size > 0.0f ? 1.0f / size : 0.0f, scale = colored > 0.0f ? 1.0f / colored : 0.0f;
-        int written = -1;
-        // One vertex a loop, but for cells at the border of what was observed.
-        for (int i = ends[loop]; i < ends[loop + 1]; ++i) {
-            const int own = (int)(code >> 4 * edges[i]) & 15;
-            if (own == NO_VERTEX || own == written) continue;
-            written = own;
-            const int vertex = first + own;
-            places.data[vertex] = wp::vec3(place[0], place[1], place[2]);
-            points.data[vertex] = wp::vec3(voxel_size * (x + place[0]), voxel_size * (y + place[1]),
-                                           voxel_size * (z + place[2]));
-            if (with_normals) normals.data[vertex] = wp::vec3(inverse * n[0], inverse * n[1], inverse * n[2]);
-            for (int channel = 0; channel < 3; ++channel)
-                colors.data[vertex].c[channel] = (unsigned char)(scale * color[channel] + 0.5f);
-        }
+        const int vertex = first + loop;
+        places.data[vertex] = wp::vec3(place[0], place[1], place[2]);
+        points.data[vertex] = wp::vec3(voxel_size * (x + place[0]), voxel_size * (y + place[1]),
+                                       voxel_size * (z + place[2]));
+        if (with_normals) normals.data[vertex] = wp::vec3(inverse * n[0], inverse * n[1], inverse * n[2]);
+        for (int channel = 0; channel < 3; ++channel)
+            colors.data[vertex].c[channel] = (unsigned char)(scale * color[channel] + 0.5f);
     }
 """
 )
@@ -140,7 +132,6 @@ SOLVE_IN_CPP = (
 def solve_loops(
     tables: CellTables,
     first: int,
-    code: wp.uint64,
     pattern: int,
     corners: Corners,
     planes: EdgePlanes,
@@ -153,7 +144,7 @@ def solve_loops(
     colors: wp.array(dtype=wp.vec3ub),
     normals: wp.array(dtype=wp.vec3),
 ) -> None:
-    """Write a cell's vertices from number ``first`` on, by its ``code``; its lowest corner is (x, y, z) on the lattice.
+    """Write a cell's vertices, one a loop, from number ``first`` on; its lowest corner is (x, y, z) on the lattice.
 
     Normals are left out where there is no room for them.
     """

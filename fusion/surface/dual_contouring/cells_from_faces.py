@@ -6,7 +6,6 @@ from fusion.surface.dual_contouring.cell_solver import EdgePlanes, corners_of, s
 from fusion.surface.dual_contouring.cell_table import CellTables
 from fusion.surface.dual_contouring.dual_grid import DualGrid, curve_number, first_vertex, place_of
 from fusion.surface.dual_contouring.faces import face_u, face_v
-from fusion.surface.dual_contouring.odd_cells import cell_code
 from fusion.surface.layers import (
     NONE,
     case_of,
@@ -147,7 +146,6 @@ def solve_cells_from_faces(
         solve_loops(
             tables,
             first_vertex(grid, layer, bit),
-            cell_code(grid, tables, layer, bit, pattern),
             pattern,
             corners_of(voxels, grid, slot, cell[0], cell[1], cell[2]),
             planes_of(grid, tables, pattern, slot, cell, along_edges, curve_points),

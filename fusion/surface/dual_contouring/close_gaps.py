@@ -45,13 +45,11 @@ _CLOSE_GAPS_IN_CPP = (
             number += wp::bit_count(owner.complete[axis]);
         }
     }
-    const wp::uint64 several = grid.several.data[8 * slot + z], odd = grid.odd.data[8 * slot + z];
-    for (wp::uint64 left = active; left != 0; left &= left - 1) {
+    const wp::uint64 several = grid.several.data[8 * slot + z];
+    for (wp::uint64 left = active; left != 0; left &= left - 1, ++vertex) {
         const int bit = wp::bit_count((left - 1) & ~left);
-        const int count = (odd >> bit) & 1 ? (int)(grid.codes.data[odd_cell++] >> COUNT_SHIFT) : 1;
-        const int end = vertex + count;
-        if (count == 0 || ((several >> bit) & 1)) {
-            vertex = end;
+        if ((several >> bit) & 1) {
+            vertex += (int)(grid.codes.data[odd_cell++] >> COUNT_SHIFT) - 1;
             continue;
         }
         int pattern = 0;
@@ -73,7 +71,7 @@ _CLOSE_GAPS_IN_CPP = (
             quads += 1.0f;
         }
         // No farther than within the cell: shortened, a step along a plane stays on it.
-        float share = 1.0f / quads;
+        float share = quads > 0.0f ? 1.0f / quads : 0.0f;
         wp::vec3 place = places.data[vertex];
         for (int j = 0; j < 3; ++j) {
             const float room = (sum[j] < 0.0f ? LOWEST : HIGHEST) - place[j];
@@ -86,7 +84,8 @@ _CLOSE_GAPS_IN_CPP = (
         const wp::vec3 point = wp::vec3(voxel_size * (block_x + (bit & 7) + place[0]),
                                         voxel_size * (block_y + (bit >> 3) + place[1]),
                                         voxel_size * (block_z + place[2]));
-        for (; vertex < end; ++vertex) places.data[vertex] = place, points.data[vertex] = point;
+        places.data[vertex] = place;
+        points.data[vertex] = point;
     }
 """
 )
@@ -147,7 +146,7 @@ def _close_gaps(
         corners_on(grid.cells.inside, grid.cells.upper, slot, z),
         corners_on(grid.cells.inside, grid.cells.upper, slot, z + 1),
         first_vertex(grid, layer, lowest),
-        grid.vertex_starts[layer][1] + wp.bit_count(grid.odd[layer] & below(lowest)),
+        grid.vertex_starts[layer][1] + wp.bit_count(grid.several[layer] & below(lowest)),
         gaps,
         float(corner[0]),
         float(corner[1]),

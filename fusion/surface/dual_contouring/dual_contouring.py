@@ -1,8 +1,9 @@
 """Occupancy-based dual contouring on the sparse blocks, after Hwang and Sung (SIGGRAPH Asia 2024).
 
 1-D points on edges, 2-D points on faces, 3-D points in cells, and quads that are cut so that they never meet: the steps
-are modules of their own. Vertices are in the order of their cells, then those on faces, then those on edges; triangles
-are in the order of the edges. So nothing depends on which thread is first.
+are modules of their own. Vertices are in the order of their cells, then those on faces, then those on edges, and last
+those on the edges of the rim; triangles are in the order of the edges, those at the rim last. So nothing depends on
+which thread is first.
 """
 
 import numpy as np
@@ -17,6 +18,7 @@ from fusion.surface.dual_contouring.oracle import Oracle
 from fusion.surface.dual_contouring.pins import place_pins
 from fusion.surface.dual_contouring.quad_corners import quad_corners
 from fusion.surface.dual_contouring.quads import cut_quads
+from fusion.surface.dual_contouring.rim_polygons import count_rim_triangles, rim_vertices, write_rim_triangles
 from fusion.surface.dual_contouring.signs import sign_kernel
 from fusion.surface.dual_contouring.vertices import Vertices
 from fusion.surface.mesh import Mesh
@@ -30,9 +32,8 @@ def dual_contouring(
 
     Which voxels are inside and where the surface passes between them is what ``oracle`` answers, which is asked near
     the volume's surface, or without one what the volume's trilinear field says. A voxel counts as seen where its weight
-    is over ``min_weight`` (≥ 0). There is a quad around an edge where all four cells there have eight seen corners, and
-    nowhere else: the mesh is open at the border of what was observed, about half a voxel before marching cubes' is.
-    ``normals`` asks for the vertices' normals.
+    is over ``min_weight`` (≥ 0), and a cell where its eight corners do. The mesh is open at the border of the cells
+    that were seen, where marching cubes' is. ``normals`` asks for the vertices' normals.
     """
     assert min_weight >= 0, "an unseen voxel's weight is 0"
     grid, counts = find_grid(volume, oracle, min_weight=min_weight)
@@ -44,8 +45,19 @@ def dual_contouring(
         close_gaps(volume, grid, gaps, places, cells)
     del gaps  # its memory serves what follows
     pins = place_pins(volume, grid, along, curve_points, places, cells, normals=normals)
-    cut = cut_quads(volume, grid, corners, along, places, cells, pins=len(pins.points), normals=normals)
-    return _mesh([cells, pins, cut.fans], cut.triangles.numpy(), normals=normals)
+    starts, more = count_rim_triangles(grid, counts.rim)
+    cut = cut_quads(volume, grid, corners, along, places, cells, pins=len(pins.points), more=more, normals=normals)
+    rim = rim_vertices(volume, grid, counts.rim, along, cells, normals=normals)
+    first_pin, first_fan = len(cells.points), len(cells.points) + len(pins.points)
+    write_rim_triangles(
+        grid,
+        starts,
+        cut.triangles,
+        first_pin=first_pin,
+        first_rim=first_fan + len(cut.fans.points),
+        first_triangle=len(cut.triangles) - more,
+    )
+    return _mesh([cells, pins, cut.fans, rim], cut.triangles.numpy(), normals=normals)
 
 
 def oracle_kernels(oracle: Oracle) -> list[Kernel]:

@@ -1,23 +1,19 @@
 """What dual contouring numbers: active cells and their vertices, crossed edges and faces, and the edges that get quads.
 
-An edge is *complete* where all four cells around it were seen: only there is a quad, so that no surface is made up at
-the border of what was observed. A loop whose edges are not all complete falls apart into arcs, and each arc has a
-vertex of its own: no vertex touches the border twice.
+An edge is *complete* where all four cells around it were seen: there is a quad. Around the others the border of what
+was observed passes (``rim``).
 
-Most cells have one vertex, for all of their crossed edges; those that have not are *odd*. So vertices are numbered by
-counting bits, and only odd cells are written down one by one.
+Most cells have one vertex, for all of their crossed edges; those that have several loops have as many. So vertices are
+numbered by counting bits, and only cells with several loops are written down one by one.
 """
 
 from dataclasses import dataclass
 
 import warp as wp
 
-from fusion.surface.dual_contouring.cell_table import NO_VERTEX
 from fusion.surface.layers import NONE, Cells, below
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
-
-_NO_VERTEX = wp.constant(NO_VERTEX)
 
 
 @wp.struct
@@ -25,12 +21,13 @@ class DualGrid:
     """The ``cells`` (``starts``: crossed edges and active cells before a layer), and what is found from them.
 
     By layers: ``complete_x``, ``…_y``, ``…_z`` (n,) the voxels whose edge is complete; ``several`` (n,) the active
-    cells with several loops, ``twice`` (n,) those with an ambiguous face on their low side, and ``odd`` (n,) those that
-    are odd; ``vertex_starts`` (n + 1,) how many cells' vertices
-    and odd cells come before, ``quad_starts`` (n + 1,) how many complete edges.
+    cells with several loops, and ``twice`` (n,) those with an ambiguous face on their low side; ``vertex_starts``
+    (n + 1,) how many cells' vertices and cells with several loops come before, ``quad_starts`` (n + 1,) how many
+    complete edges, and ``rim_starts`` (n + 1,) how many vertices on rim edges; ``parted`` (n, 3) the voxels whose rim
+    edge along an axis has two vertices; rows of layers without rim edges are not set.
 
-    By odd cells: ``codes`` (k,) as in ``CellTable``; ``more`` (k,) how many more vertices the layer's odd cells have,
-    up to this one, than one each.
+    By cells with several loops: ``codes`` (k,) as in ``CellTable``; ``more`` (k,) how many more vertices the layer's
+    cells have, up to this one, than one each.
 
     By layers and axes, of the faces across an axis from voxels: ``pins`` (2 n, 3) those with a vertex on curve 0 (row
     2·layer) and 1, and ``pin_starts`` (n + 1,) how many such vertices come before; rows of layers without any are not
@@ -44,9 +41,10 @@ class DualGrid:
     complete_z: wp.array(dtype=wp.uint64)
     several: wp.array(dtype=wp.uint64)
     twice: wp.array(dtype=wp.uint64)
-    odd: wp.array(dtype=wp.uint64)
     vertex_starts: wp.array(dtype=wp.vec2i)
     quad_starts: wp.array(dtype=int)
+    rim_starts: wp.array(dtype=int)
+    parted: wp.array2d(dtype=wp.uint64)
     codes: wp.array(dtype=wp.uint64)
     more: wp.array(dtype=int)
     pins: wp.array2d(dtype=wp.uint64)
@@ -58,11 +56,12 @@ class DualGrid:
 
 @dataclass(frozen=True, kw_only=True)
 class Counts:
-    """How many of each there are; ``vertices`` are those within cells."""
+    """How many of each there are; ``vertices`` are those within cells, ``rim`` those on rim edges."""
 
     edges: int
     vertices: int
     quads: int
+    rim: int
     curves: int
 
 
@@ -71,28 +70,25 @@ def first_vertex(grid: DualGrid, layer: int, bit: int) -> int:
     """Return the number of an active cell's first vertex."""
     before = below(bit)
     number = grid.vertex_starts[layer][0] + wp.bit_count(grid.cells.active[layer] & before)
-    odd = grid.odd[layer] & before
-    if odd != NONE:
-        number += grid.more[grid.vertex_starts[layer][1] + wp.bit_count(odd) - 1]
+    several = grid.several[layer] & before
+    if several != NONE:
+        number += grid.more[grid.vertex_starts[layer][1] + wp.bit_count(several) - 1]
     return number
 
 
 @wp.func
 def vertex_of_edge(grid: DualGrid, layer: int, bit: int, edge: int) -> int:
-    """Return the number of the vertex that a cell has for one of its edges, −1 for none."""
+    """Return the number of the vertex that a cell has for one of its crossed edges, −1 where it is not active."""
     if layer < 0:
         return -1
     one = wp.uint64(1) << wp.uint64(bit)
     if (grid.cells.active[layer] & one) == NONE:
         return -1
     first = first_vertex(grid, layer, bit)
-    if (grid.odd[layer] & one) == NONE:
+    if (grid.several[layer] & one) == NONE:
         return first
-    code = grid.codes[grid.vertex_starts[layer][1] + wp.bit_count(grid.odd[layer] & below(bit))]
-    own = int((code >> wp.uint64(4 * edge)) & wp.uint64(15))
-    if own == _NO_VERTEX:
-        return -1
-    return first + own
+    code = grid.codes[grid.vertex_starts[layer][1] + wp.bit_count(grid.several[layer] & below(bit))]
+    return first + int((code >> wp.uint64(4 * edge)) & wp.uint64(15))
 
 
 @wp.func

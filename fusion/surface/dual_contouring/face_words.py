@@ -7,7 +7,6 @@ import warp as wp
 from warp.utils import array_scan
 
 from fusion.surface.dual_contouring.dual_grid import DualGrid
-from fusion.surface.dual_contouring.edge_words import EdgeWords, complete_edges
 from fusion.surface.dual_contouring.odd_cells import crossed_twice
 from fusion.surface.layers import NONE, corners_back, corners_on, launch_over_layers, word_at
 
@@ -25,16 +24,6 @@ def face_corners(low: wp.vec4ul, high: wp.vec4ul, axis: int) -> wp.vec4ul:
 
 
 @wp.func
-def face_edges(complete: EdgeWords, axis: int) -> wp.vec4ul:
-    """Return what is true of a face's edges 0 to 3, of what is true of the edges of the cell above it."""
-    if axis == 0:
-        return wp.vec4ul(complete[4], complete[6], complete[8], complete[10])
-    if axis == 1:
-        return wp.vec4ul(complete[0], complete[2], complete[8], complete[9])
-    return wp.vec4ul(complete[0], complete[1], complete[4], complete[5])
-
-
-@wp.func
 def back_along(back: wp.vec4ul, under: wp.vec4ul, axis: int) -> wp.uint64:
     """Return what is true one back along an axis, from the words of this layer and the one under it."""
     if axis == 2:
@@ -46,17 +35,6 @@ def back_along(back: wp.vec4ul, under: wp.vec4ul, axis: int) -> wp.uint64:
 def any_beside(back: wp.vec4ul, under: wp.vec4ul) -> bool:
     """Return whether something is true of any voxel of a layer, or of one beside it across a face."""
     return (back[0] | back[1] | back[2] | under[0]) != NONE
-
-
-@wp.func
-def curves_with_quads(corners: wp.vec4ul, edges: wp.vec4ul) -> wp.vec2ul:
-    """Return the faces on whose curve 0 and 1 a quad depends: those with a complete edge at one of its ends."""
-    twice = crossed_twice(corners)
-    # On an ambiguous face an edge along v goes with the inside corner that it ends at.
-    to_first = (corners[0] & edges[2]) | (~corners[0] & edges[3])
-    to_second = (corners[0] & edges[3]) | (~corners[0] & edges[2])
-    some = edges[0] | edges[1] | edges[2] | edges[3]
-    return wp.vec2ul((~twice & some) | (twice & (edges[0] | to_first)), twice & (edges[1] | to_second))
 
 
 @wp.kernel
@@ -96,7 +74,7 @@ def find_curves(grid: DualGrid) -> int:
 def may_be_delicate(grid: DualGrid, slot: int, z: int) -> bool:
     """Return whether a layer has ambiguous faces below its cells, or cells with several loops there or beside it."""
     layer = 8 * slot + z
-    # No quad depends on a face below a cell that is not active.
+    # The surface goes on through no face below a cell that is not active.
     if grid.cells.active[layer] == NONE:
         return False
     found = grid.twice[layer] | grid.several[layer]
@@ -107,13 +85,14 @@ def may_be_delicate(grid: DualGrid, slot: int, z: int) -> bool:
 
 @wp.struct
 class LayerWords:
-    """What tells of a layer's faces: words of its cells' corners, of ``several`` here and beside, of complete edges."""
+    """What tells of a layer's faces: words of its cells' corners, and of ``active`` and ``several`` here and beside."""
 
     low: wp.vec4ul
     high: wp.vec4ul
+    active: wp.vec4ul
+    active_under: wp.vec4ul
     several: wp.vec4ul
     several_under: wp.vec4ul
-    complete: EdgeWords
 
 
 @wp.func
@@ -122,19 +101,33 @@ def layer_words(grid: DualGrid, slot: int, z: int) -> LayerWords:
     words = LayerWords()
     words.low = corners_on(grid.cells.inside, grid.cells.upper, slot, z)
     words.high = corners_on(grid.cells.inside, grid.cells.upper, slot, z + 1)
+    words.active = corners_back(grid.cells.active, grid.cells.lower, slot, z)
+    words.active_under = corners_back(grid.cells.active, grid.cells.lower, slot, z - 1)
     words.several = corners_back(grid.several, grid.cells.lower, slot, z)
     words.several_under = corners_back(grid.several, grid.cells.lower, slot, z - 1)
-    words.complete = complete_edges(grid, slot, z)
     return words
 
 
 @wp.func
 def delicate_curves(words: LayerWords, axis: int) -> wp.vec2ul:
-    """Return the faces across an axis on whose curve 0 and 1 a quad depends and may come too near to another sheet.
+    """Return the faces across an axis on whose curve 0 and 1 the surface may come too near to another sheet.
 
-    These are ambiguous, or beside a cell with several loops.
+    These are ambiguous, or beside a cell with several loops; the surface goes on through them.
     """
     corners = face_corners(words.low, words.high, axis)
-    delicate = crossed_twice(corners) | words.several[0] | back_along(words.several, words.several_under, axis)
-    curves = curves_with_quads(corners, face_edges(words.complete, axis))
-    return wp.vec2ul(curves[0] & delicate, curves[1] & delicate)
+    twice = crossed_twice(corners)
+    delicate = twice | words.several[0] | back_along(words.several, words.several_under, axis)
+    through = delicate & words.active[0] & back_along(words.active, words.active_under, axis)
+    some = corners[0] | corners[1] | corners[2] | corners[3]
+    every = corners[0] & corners[1] & corners[2] & corners[3]
+    return wp.vec2ul(through & some & ~every, through & twice)
+
+
+@wp.func
+def last_curves(words: LayerWords, axis: int) -> wp.vec2ul:
+    """Return the faces across an axis on whose curve 0 and 1 the mesh ends: one of the cells beside was seen."""
+    corners = face_corners(words.low, words.high, axis)
+    ends = words.active[0] ^ back_along(words.active, words.active_under, axis)
+    some = corners[0] | corners[1] | corners[2] | corners[3]
+    every = corners[0] & corners[1] & corners[2] & corners[3]
+    return wp.vec2ul(ends & some & ~every, ends & crossed_twice(corners))

@@ -54,6 +54,15 @@ def curve_edges(pattern: int, curve: int) -> wp.vec2i:
 
 
 @wp.func
+def curve_from(pattern: int, along_u: bool, side: int) -> int:
+    """Return which curve a crossed face edge is an end of, the one along u, or v, on a ``side`` of the face."""
+    if not is_ambiguous(pattern):
+        return 0
+    # Along v the curves go with the inside corners, as in ``cell_table``.
+    return wp.where(along_u or (pattern & 1) == 1, side, 1 - side)
+
+
+@wp.func
 def point_on_edge(edge: int, along: float) -> wp.vec2:
     """Return a point of a face edge in the face."""
     side = float(edge & 1)

@@ -9,6 +9,7 @@ from fusion.surface.dual_contouring.dual_grid import Counts, DualGrid
 from fusion.surface.dual_contouring.face_words import find_curves
 from fusion.surface.dual_contouring.odd_cells import find_odd_cells, write_odd_cells
 from fusion.surface.dual_contouring.oracle import Oracle
+from fusion.surface.dual_contouring.rim import find_rim
 from fusion.surface.dual_contouring.signs import ask_signs
 from fusion.surface.layers import NONE, Cells, corners_back, launch_over_layers
 from fusion.volume.tsdf_volume import Volume
@@ -57,6 +58,7 @@ def find_grid(volume: Volume, oracle: Oracle | None, *, min_weight: float) -> tu
         edges=int(cells.starts[layers:].numpy()[0][0]),
         vertices=vertices,
         quads=int(grid.quad_starts[layers:].numpy()[0]),
+        rim=find_rim(grid),
         curves=0 if oracle is None else find_curves(grid),
     )
 
@@ -78,11 +80,12 @@ def _empty_grid(cells: Cells, *, with_faces: bool) -> DualGrid:
     device, layers = cells.inside.device, len(cells.inside)
     grid = DualGrid()
     grid.cells = cells
-    for name in ("complete_x", "complete_y", "complete_z", "several", "twice", "odd"):
+    for name in ("complete_x", "complete_y", "complete_z", "several", "twice"):
         setattr(grid, name, wp.empty(layers, dtype=wp.uint64, device=device))
     grid.vertex_starts = wp.zeros(layers + 1, dtype=wp.vec2i, device=device)
-    for name in ("quad_starts", "pin_starts"):
+    for name in ("quad_starts", "rim_starts", "pin_starts"):
         setattr(grid, name, wp.zeros(layers + 1, dtype=int, device=device))
+    grid.parted = wp.empty((layers, 3), dtype=wp.uint64, device=device)
     grid.pins = wp.empty((2 * layers, 3), dtype=wp.uint64, device=device)
     rows = layers if with_faces else 0
     for name in ("faces", "ambiguous"):

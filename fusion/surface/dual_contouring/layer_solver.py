@@ -136,14 +136,11 @@ _SOLVE_LANES_IN_CPP = """
         for (int lane = 0; lane < filled; ++lane) {
             const float size = with_normals ? sqrtf(lanes_of(square)[lane]) : 0.0f;
             const float inverse = size > 0.0f ? 1.0f / size : 0.0f;
-            // One vertex, but at the border of what was observed one for each arc of the loop.
-            const int end = numbers[lane] + counts[lane];
-            for (int vertex = numbers[lane]; vertex < end; ++vertex) {
-                for (int i = 0; i < 3; ++i) {
-                    places.data[vertex][i] = lanes_of(centroid[i])[lane];
-                    if (with_normals) normals.data[vertex][i] = inverse * lanes_of(normal[i])[lane];
-                    colors.data[vertex].c[i] = (unsigned char)lanes_of(color[i])[lane];
-                }
+            const int vertex = numbers[lane];
+            for (int i = 0; i < 3; ++i) {
+                places.data[vertex][i] = lanes_of(centroid[i])[lane];
+                if (with_normals) normals.data[vertex][i] = inverse * lanes_of(normal[i])[lane];
+                colors.data[vertex].c[i] = (unsigned char)lanes_of(color[i])[lane];
             }
         }
         filled = 0;
@@ -151,7 +148,7 @@ _SOLVE_LANES_IN_CPP = """
 """
 
 _SOLVE_SEVERAL_LOOPS_IN_CPP = (
-    "auto solve_several_loops = [&](int first, wp::uint64 code, int x, int y) {\n"
+    "auto solve_several_loops = [&](int first, int x, int y) {\n"
     f"const auto corners = [&]() {{ {CORNERS_IN_CPP} }}();\n"
     f"const auto planes = [&]() {{ {TRILINEAR_IN_CPP} }}();\n"
     """
@@ -169,28 +166,24 @@ _SOLVE_LAYER_IN_CPP = (
     + f"constexpr float LOWEST = {INSET}f, HIGHEST = 1.0f - {INSET}f; constexpr int COUNT_SHIFT = {COUNT_SHIFT};"
     + "const auto &cells = grid.cells; const bool with_normals = normals.shape[0] > 0;"
     + ROWS_IN_CPP
-    + "int filled = 0, bits[LANES], numbers[LANES], counts[LANES];"
+    + "int filled = 0, bits[LANES], numbers[LANES];"
     + _GATHER_IN_CPP
     + _CROSSINGS_IN_CPP
     + _COLORS_IN_CPP
     + _SOLVE_LANES_IN_CPP
     + """
-    const wp::uint64 several = grid.several.data[8 * slot + z], odd = grid.odd.data[8 * slot + z];
+    const wp::uint64 several = grid.several.data[8 * slot + z];
     for (wp::uint64 left = active; left != 0; left &= left - 1) {
         const int bit = wp::bit_count((left - 1) & ~left);
-        const bool is_odd = (odd >> bit) & 1;
-        const wp::uint64 code = is_odd ? grid.codes.data[odd_cell++] : 0;
-        const int count = is_odd ? (int)(code >> COUNT_SHIFT) : 1;
         if ((several >> bit) & 1) {
-            solve_several_loops(vertex, code, bit & 7, bit >> 3);
+            solve_several_loops(vertex, bit & 7, bit >> 3);
+            vertex += (int)(grid.codes.data[odd_cell++] >> COUNT_SHIFT);
         } else {
             gather(filled, bit);
             bits[filled] = bit;
-            numbers[filled] = vertex;
-            counts[filled++] = count;
+            numbers[filled++] = vertex++;
             if (filled == LANES) solve_lanes();
         }
-        vertex += count;
     }
     if (filled > 0) {
         for (int lane = filled; lane < LANES; ++lane) gather(lane, bits[0]);  // numbers that do no harm

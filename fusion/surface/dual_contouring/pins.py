@@ -8,6 +8,9 @@ where these meet in a corner. Where it does not, the curve is *pinned*: a vertex
 Two curves on a face have hulls without a common point, so that never both of them go along the same line.
 
 The vertex is the 2-D point where that is in the hull, else the middle between the 1-D points, which always is.
+
+Where only one of a face's cells was seen, the mesh ends on the face, along the line between the 1-D points (``rim``).
+An oracle may tell of a bend in between: then the curve is pinned at its 2-D point, too, where that is in the hull.
 """
 
 import warp as wp
@@ -15,7 +18,7 @@ from warp.utils import array_scan
 
 from fusion.devices import launch_in_slabs
 from fusion.surface.dual_contouring.dual_grid import DualGrid, curve_number, pin_number, place_of, vertex_of_edge
-from fusion.surface.dual_contouring.face_words import delicate_curves, layer_words, may_be_delicate
+from fusion.surface.dual_contouring.face_words import delicate_curves, last_curves, layer_words, may_be_delicate
 from fusion.surface.dual_contouring.faces import (
     curve_edges,
     edge_in_cell,
@@ -34,6 +37,8 @@ from fusion.volume.tsdf_volume import Volume
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 _INSET = wp.constant(INSET)
+_STRAIGHT = wp.constant(0.02)
+"""Voxels: a curve at whose end the mesh ends is straight if its 2-D point is so near to the line between its ends."""
 
 
 @wp.func
@@ -64,7 +69,10 @@ def meeting_point(a: wp.vec2, b: wp.vec2, leads: wp.vec4) -> wp.vec2:
 
 @wp.func
 def vertices_beside(grid: DualGrid, slot: int, layer: int, bit: int, axis: int, ends: wp.vec2i) -> wp.vec4i:
-    """Return the vertices that the cells above and below a face have for the two edges that a curve joins, in turn."""
+    """Return the vertices that the cells above and below a face have for the two edges that a curve joins, in turn.
+
+    It is −1 for a cell that was not seen.
+    """
     at = wp.vec3i(bit & 7, bit >> 3, layer & 7) - step_along(axis)
     before = place_of(grid.cells.lower, slot, at[0], at[1], at[2])
     return wp.vec4i(
@@ -78,33 +86,78 @@ def vertices_beside(grid: DualGrid, slot: int, layer: int, bit: int, axis: int, 
 @wp.func
 def passes_within_hull(around: wp.vec4i, axis: int, ends: wp.vec2i, places: wp.array(dtype=wp.vec3)) -> bool:
     """Return whether the line between the vertices on both sides of a face passes it within a curve's hull."""
-    above = places[wp.max(around[0], around[2])]
-    below = places[wp.max(around[1], around[3])]
+    above = places[around[0]]
+    below = places[around[1]]
     share = (1.0 - below[axis]) / (1.0 - below[axis] + above[axis])
     point = below + share * (above - below)
     return is_in_hull(wp.vec2(point[face_u(axis)], point[face_v(axis)]), ends)
 
 
+@wp.func
+def ends_on_face(
+    grid: DualGrid,
+    slot: int,
+    voxel: wp.vec3i,
+    axis: int,
+    ends: wp.vec2i,
+    along: wp.array(dtype=float),
+) -> wp.vec4:
+    """Return the 1-D points of the two edges that a curve joins, in the face."""
+    a = point_on_edge(ends[0], along[edge_number_on_face(grid, slot, voxel, axis, ends[0])])
+    b = point_on_edge(ends[1], along[edge_number_on_face(grid, slot, voxel, axis, ends[1])])
+    return wp.vec4(a[0], a[1], b[0], b[1])
+
+
+@wp.func
+def bends_within_hull(at: wp.vec4, leads: wp.vec4, ends: wp.vec2i) -> bool:
+    """Return whether a curve's 2-D point is in its hull, and off the line between its ends."""
+    a = wp.vec2(at[0], at[1])
+    b = wp.vec2(at[2], at[3])
+    point = meeting_point(a, b, leads)
+    across = b - a
+    off = wp.abs(across[0] * (point[1] - a[1]) - across[1] * (point[0] - a[0]))
+    return is_in_hull(point, ends) and off > _STRAIGHT * wp.length(across)
+
+
 @wp.kernel
-def _choose_pins(first: int, grid: DualGrid, places: wp.array(dtype=wp.vec3)) -> None:
+def _choose_pins(
+    first: int,
+    grid: DualGrid,
+    places: wp.array(dtype=wp.vec3),
+    along: wp.array(dtype=float),
+    curve_points: wp.array(dtype=wp.vec4),
+) -> None:
     layer = wp.tid() + first
     slot = layer >> 3
     grid.pin_starts[layer] = 0
-    if not may_be_delicate(grid, slot, layer & 7):
+    if curve_points.shape[0] > 0:
+        if grid.curve_starts[layer] == grid.curve_starts[layer + 1]:
+            return
+    elif not may_be_delicate(grid, slot, layer & 7):
         return
     words = layer_words(grid, slot, layer & 7)
     total = int(0)
     for axis in range(3):
         curves = delicate_curves(words, axis)
+        last = wp.vec2ul()
+        if curve_points.shape[0] > 0:
+            last = last_curves(words, axis)
         for curve in range(2):
             pins = NONE
-            left = curves[curve]
+            left = curves[curve] | last[curve]
             while left != NONE:
                 bit = lowest_bit(left)
                 one = left & (~left + wp.uint64(1))
-                pattern = pattern_of(grid, slot, wp.vec3i(bit & 7, bit >> 3, layer & 7), axis)
-                ends = curve_edges(pattern, curve)
-                if not passes_within_hull(vertices_beside(grid, slot, layer, bit, axis, ends), axis, ends, places):
+                voxel = wp.vec3i(bit & 7, bit >> 3, layer & 7)
+                ends = curve_edges(pattern_of(grid, slot, voxel, axis), curve)
+                pinned = bool(False)
+                if (last[curve] & one) != NONE:
+                    leads = curve_points[curve_number(grid, layer, axis, bit) + curve]
+                    pinned = bends_within_hull(ends_on_face(grid, slot, voxel, axis, ends, along), leads, ends)
+                else:
+                    around = vertices_beside(grid, slot, layer, bit, axis, ends)
+                    pinned = not passes_within_hull(around, axis, ends, places)
+                if pinned:
                     pins |= one
                 left = left ^ one
             grid.pins[2 * layer + curve, axis] = pins
@@ -141,8 +194,9 @@ def _place_pins(
                 pin = pin_number(grid, layer, axis, bit, curve)
                 if pin >= 0:
                     ends = curve_edges(pattern, curve)
-                    a = point_on_edge(ends[0], along[edge_number_on_face(grid, slot, voxel, axis, ends[0])])
-                    b = point_on_edge(ends[1], along[edge_number_on_face(grid, slot, voxel, axis, ends[1])])
+                    between = ends_on_face(grid, slot, voxel, axis, ends, along)
+                    a = wp.vec2(between[0], between[1])
+                    b = wp.vec2(between[2], between[3])
                     point = 0.5 * (a + b)
                     if curve_points.shape[0] > 0:
                         found = meeting_point(a, b, curve_points[curve_number(grid, layer, axis, bit) + curve])
@@ -174,12 +228,13 @@ def place_pins(
     The ``cells``' vertices lie at ``places``; colours and normals are those of the ones beside.
     """
     device, layers = volume.device, len(grid.several)
-    launch_over_layers(_choose_pins, dim=layers, inputs=[grid, places], outputs=[], device=device)
+    if curve_points is None:
+        curve_points = wp.empty(0, dtype=wp.vec4, device=device)
+    inputs = [grid, places, along, curve_points]
+    launch_over_layers(_choose_pins, dim=layers, inputs=inputs, outputs=[], device=device)
     array_scan(grid.pin_starts, grid.pin_starts, inclusive=False)
     count = int(grid.pin_starts[layers:].numpy()[0])
     pins = Vertices.empty(count, device, normals=normals)
-    if curve_points is None:
-        curve_points = wp.empty(0, dtype=wp.vec4, device=device)
     launch_in_slabs(
         _place_pins,
         dim=layers if count else 0,

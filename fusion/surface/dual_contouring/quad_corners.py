@@ -9,22 +9,22 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 # In C++ for its local arrays: the active cells of the eight layers around the edges are looked up once for all of them.
 _CORNERS_IN_CPP = """
-    struct { wp::uint64 active, odd; int first, first_odd; } owners[8] = {};
+    struct { wp::uint64 active, several; int first, first_odd; } owners[8] = {};
     for (int back = 0; back < 8; ++back) {
         const int holder = grid.cells.lower.data[8 * slot + ((back & 3) | (z == 0 ? back & 4 : 0))];
         const int layer = 8 * holder + ((z - (back >> 2)) & 7);
         if (holder < 0) continue;  // none of its cells is beside a complete edge
-        owners[back] = {grid.cells.active.data[layer], grid.odd.data[layer], grid.vertex_starts.data[layer].c[0],
+        owners[back] = {grid.cells.active.data[layer], grid.several.data[layer], grid.vertex_starts.data[layer].c[0],
                         grid.vertex_starts.data[layer].c[1]};
     }
     // The cell's vertex for an edge, as ``vertex_of_edge`` has it.
     auto vertex_of = [&](const auto &owner, int bit, int edge) {
         const wp::uint64 before = ((wp::uint64)1 << bit) - 1;
         int vertex = owner.first + wp::bit_count(owner.active & before);
-        if (owner.odd) {
-            const int odd_cell = owner.first_odd + wp::bit_count(owner.odd & before);
-            if (owner.odd & before) vertex += grid.more.data[odd_cell - 1];
-            if ((owner.odd >> bit) & 1) vertex += (int)(grid.codes.data[odd_cell] >> 4 * edge) & 15;
+        if (owner.several) {
+            const int odd_cell = owner.first_odd + wp::bit_count(owner.several & before);
+            if (owner.several & before) vertex += grid.more.data[odd_cell - 1];
+            if ((owner.several >> bit) & 1) vertex += (int)(grid.codes.data[odd_cell] >> 4 * edge) & 15;
         }
         return vertex;
     };

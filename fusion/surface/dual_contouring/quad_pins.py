@@ -3,7 +3,7 @@
 import warp as wp
 
 from fusion.surface.dual_contouring.dual_grid import DualGrid, pin_number, place_of
-from fusion.surface.dual_contouring.faces import face_u, is_ambiguous, pattern_of
+from fusion.surface.dual_contouring.faces import curve_from, face_u, pattern_of
 from fusion.surface.layers import NONE, step_along
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
@@ -17,6 +17,8 @@ def pin_beside(grid: DualGrid, slot: int, voxel: wp.vec3i, axis: int, normal: in
     """
     place = place_of(grid.cells.lower, slot, voxel[0], voxel[1], voxel[2])
     layer = place[0]
+    if layer < 0:
+        return -1
     if grid.pin_starts[layer] == grid.pin_starts[layer + 1]:
         return -1
     one = wp.uint64(1) << wp.uint64(place[1])
@@ -24,13 +26,7 @@ def pin_beside(grid: DualGrid, slot: int, voxel: wp.vec3i, axis: int, normal: in
         return -1
     holder = wp.vec3i(place[1] & 7, place[1] >> 3, layer & 7)
     pattern = pattern_of(grid, layer >> 3, holder, normal)
-    curve = int(0)
-    if is_ambiguous(pattern):
-        curve = side
-        if axis != face_u(normal):
-            # Along v the curves go with the inside corners, as in ``cell_table``.
-            curve = wp.where((pattern & 1) == 1, side, 1 - side)
-    return pin_number(grid, layer, normal, place[1], curve)
+    return pin_number(grid, layer, normal, place[1], curve_from(pattern, axis == face_u(normal), side))
 
 
 @wp.func

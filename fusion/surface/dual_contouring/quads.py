@@ -177,11 +177,12 @@ def cut_quads(
     cells: Vertices,
     *,
     pins: int,
+    more: int,
     normals: bool,
 ) -> CutQuads:
     """Cut quads between ``corners``, numbers of the ``cells``' vertices, which lie at ``places`` in their cells.
 
-    ``pins`` is how many vertices on faces there are.
+    ``pins`` is how many vertices on faces there are; there is room for ``more`` triangles behind those of the quads.
     """
     device, layers = volume.device, len(grid.several)
     # By quad how it is cut; by layer how many triangles and fans come before.
@@ -192,7 +193,7 @@ def cut_quads(
     )
     array_scan(starts, starts, inclusive=False)
     triangle_total, fan_total = (int(total) for total in starts[layers:].numpy()[0])
-    triangles = wp.empty((triangle_total, 3), dtype=int, device=device)
+    triangles = wp.empty((triangle_total + more, 3), dtype=int, device=device)
     quads = [grid, corners, splits, starts]
     launch_over_layers(
         _emit_triangles,

@@ -1,0 +1,324 @@
+"""What lies around rim edges: the parts of their quads in the cells that were seen.
+
+Around an edge's 1-D point they are a fan: a triangle with the vertices of each two seen cells beside each other, by way
+of the one on the face between them where that is pinned. At either end of the fan is a face beyond which nothing was
+seen. The curve on it, which the mesh ends with, goes on to another rim edge, and the triangle of the cell's vertex with
+both 1-D points belongs to the fan that the surface comes to first, going counter-clockwise; or to each of both fans a
+half, where the curve is pinned.
+
+All of this is within the cells' hulls and the envelopes of ``quad_split``, so the mesh does not meet itself there.
+"""
+
+import warp as wp
+from warp.utils import array_scan
+
+from fusion.devices import launch_in_slabs
+from fusion.surface.dual_contouring.dual_grid import DualGrid, place_of
+from fusion.surface.dual_contouring.faces import curve_edges, curve_from, face_u, face_v, pattern_of
+from fusion.surface.dual_contouring.quad_pins import has_pins, pins_around
+from fusion.surface.dual_contouring.rim import (
+    cell_at,
+    cells_around,
+    rim_along,
+    rim_vertex,
+    steps_back,
+    vertex_in_cell,
+)
+from fusion.surface.dual_contouring.vertices import Vertices, set_vertex_between
+from fusion.surface.layers import (
+    NONE,
+    corners_back,
+    launch_over_layers,
+    lowest_bit,
+    number_of,
+    step_along,
+    vertex_number,
+    voxel_of,
+)
+from fusion.volume.tsdf_volume import Volume
+from fusion.volume.voxel_average import average_of, color_along
+from fusion.volume.voxels import Voxels
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+
+
+@wp.func
+def seen_around(here: wp.vec4ul, under: wp.vec4ul, axis: int, bit: int) -> int:
+    """Return which of the four cells around an edge were seen, a bit each, from the words of active cells."""
+    around = cells_around(here, under, axis)
+    seen = int(0)
+    for cell in range(4):
+        seen |= int((around[cell] >> wp.uint64(bit)) & wp.uint64(1)) << cell
+    return seen
+
+
+@wp.func
+def is_seen(seen: int, cell: int) -> bool:
+    """Return whether a cell was seen, counted around from 0 to 3 and on."""
+    return ((seen >> (cell & 3)) & 1) == 1
+
+
+@wp.func
+def rim_vertex_across(grid: DualGrid, slot: int, voxel: wp.vec3i, axis: int, cell: int, side: int) -> int:
+    """Return the number of the vertex that a curve leads to on a face beyond which nothing was seen.
+
+    The curve comes from a voxel's edge, around which the face, ``side``, is the one after cell ``side``, and ``cell``
+    the seen one beside it.
+    """
+    across = wp.where((side & 1) == 0, (axis + 1) % 3, (axis + 2) % 3)
+    face = voxel
+    if side == 1:
+        face = voxel - step_along((axis + 1) % 3)
+    if side == 2:
+        face = voxel - step_along((axis + 2) % 3)
+    # The edge is on the face's high side where the face is behind the voxel.
+    high = wp.where(side == 1 or side == 2, 1, 0)
+    holder = place_of(grid.cells.lower, slot, face[0], face[1], face[2])
+    own = wp.vec3i(holder[1] & 7, holder[1] >> 3, holder[0] & 7)
+    pattern = pattern_of(grid, holder[0] >> 3, own, across)
+    along_u = axis == face_u(across)
+    edge = wp.where(along_u, high, 2 + high)
+    ends = curve_edges(pattern, curve_from(pattern, along_u, high))
+    other = wp.where(ends[0] == edge, ends[1], ends[0])
+    step = wp.vec3i()
+    if other == 1:
+        step = step_along(face_v(across))
+    if other == 3:
+        step = step_along(face_u(across))
+    at = own + step
+    place = place_of(grid.cells.upper, holder[0] >> 3, at[0], at[1], at[2])
+    other_axis = wp.where(other < 2, face_u(across), face_v(across))
+    back = (face + step) - (voxel - steps_back(axis, cell))
+    return rim_vertex(grid, place[0], other_axis, place[1], cell_at(other_axis, back))
+
+
+@wp.func
+def set_triangle(triangles: wp.array2d(dtype=int), number: int, a: int, b: int, c: int, flipped: bool) -> int:
+    """Write a triangle, turned around where it is ``flipped``, and return the next one's number."""
+    triangles[number, 0] = a
+    triangles[number, 1] = wp.where(flipped, c, b)
+    triangles[number, 2] = wp.where(flipped, b, c)
+    return number + 1
+
+
+@wp.func
+def triangles_around(seen: int, flipped: bool, pins: wp.vec4i) -> int:
+    """Return how many triangles ``write_fans`` writes around a rim edge."""
+    count = int(0)
+    for side in range(4):
+        before = is_seen(seen, side)
+        after = is_seen(seen, side + 1)
+        pinned = pins[side] >= 0
+        if before and after:
+            count += wp.where(pinned, 2, 1)
+        elif (before or after) and (pinned or before == flipped):
+            count += 1
+    return count
+
+
+@wp.func
+def write_fans(
+    grid: DualGrid,
+    slot: int,
+    voxel: wp.vec3i,
+    axis: int,
+    seen: int,
+    flipped: bool,
+    pins: wp.vec4i,
+    first_pin: int,
+    first_rim: int,
+    number: int,
+    triangles: wp.array2d(dtype=int),
+) -> int:
+    """Write the triangles around a rim edge from a ``number`` on, and return the next one's."""
+    layer = 8 * slot + voxel[2]
+    bit = 8 * voxel[1] + voxel[0]
+    for side in range(4):
+        following = (side + 1) & 3
+        before = is_seen(seen, side)
+        after = is_seen(seen, following)
+        if before or after:
+            middle = first_rim + rim_vertex(grid, layer, axis, bit, wp.where(before, side, following))
+            first = vertex_in_cell(grid, slot, voxel, axis, side)
+            second = vertex_in_cell(grid, slot, voxel, axis, following)
+            if before and after:
+                if pins[side] >= 0:
+                    pin = first_pin + pins[side]
+                    number = set_triangle(triangles, number, middle, first, pin, flipped)
+                    number = set_triangle(triangles, number, middle, pin, second, flipped)
+                else:
+                    number = set_triangle(triangles, number, middle, first, second, flipped)
+            else:
+                last = int(-1)
+                if pins[side] >= 0:
+                    last = first_pin + pins[side]
+                elif before == flipped:
+                    # Of both fans' ends at the curve, one is its fan's first as the surface faces.
+                    cell = wp.where(before, side, following)
+                    last = first_rim + rim_vertex_across(grid, slot, voxel, axis, cell, side)
+                if last >= 0:
+                    if before:
+                        number = set_triangle(triangles, number, middle, first, last, flipped)
+                    else:
+                        number = set_triangle(triangles, number, middle, last, second, flipped)
+    return number
+
+
+@wp.func
+def pins_of(grid: DualGrid, slot: int, z: int, bit: int, axis: int, some: bool) -> wp.vec4i:
+    """Return the pins of ``pins_around`` where the layer has ``some``."""
+    if some:
+        return pins_around(grid, slot, z, bit, axis)
+    return wp.vec4i(-1, -1, -1, -1)
+
+
+@wp.kernel
+def _count_triangles(first: int, grid: DualGrid, starts: wp.array(dtype=int)) -> None:
+    layer = wp.tid() + first
+    if grid.rim_starts[layer] == grid.rim_starts[layer + 1]:
+        return
+    slot = layer >> 3
+    z = layer & 7
+    here = corners_back(grid.cells.active, grid.cells.lower, slot, z)
+    under = corners_back(grid.cells.active, grid.cells.lower, slot, z - 1)
+    some_pins = has_pins(grid, slot, z)
+    count = int(0)
+    for axis in range(3):
+        left = rim_along(grid, layer, axis)
+        while left != NONE:
+            bit = lowest_bit(left)
+            flipped = ((grid.cells.inside[layer] >> wp.uint64(bit)) & wp.uint64(1)) == NONE
+            pins = pins_of(grid, slot, z, bit, axis, some_pins)
+            count += triangles_around(seen_around(here, under, axis, bit), flipped, pins)
+            left = left & (left - wp.uint64(1))
+    starts[layer] = count
+
+
+@wp.kernel
+def _write_triangles(
+    first: int,
+    grid: DualGrid,
+    starts: wp.array(dtype=int),
+    first_pin: int,
+    first_rim: int,
+    first_triangle: int,
+    triangles: wp.array2d(dtype=int),
+) -> None:
+    layer = wp.tid() + first
+    if grid.rim_starts[layer] == grid.rim_starts[layer + 1]:
+        return
+    slot = layer >> 3
+    z = layer & 7
+    here = corners_back(grid.cells.active, grid.cells.lower, slot, z)
+    under = corners_back(grid.cells.active, grid.cells.lower, slot, z - 1)
+    some_pins = has_pins(grid, slot, z)
+    number = first_triangle + starts[layer]
+    for axis in range(3):
+        left = rim_along(grid, layer, axis)
+        while left != NONE:
+            bit = lowest_bit(left)
+            flipped = ((grid.cells.inside[layer] >> wp.uint64(bit)) & wp.uint64(1)) == NONE
+            pins = pins_of(grid, slot, z, bit, axis, some_pins)
+            seen = seen_around(here, under, axis, bit)
+            voxel = wp.vec3i(bit & 7, bit >> 3, z)
+            number = write_fans(grid, slot, voxel, axis, seen, flipped, pins, first_pin, first_rim, number, triangles)
+            left = left & (left - wp.uint64(1))
+
+
+@wp.kernel
+def _place_vertices(
+    first: int,
+    grid: DualGrid,
+    blocks: wp.array(dtype=wp.vec3i),
+    voxels: Voxels,
+    voxel_size: float,
+    along: wp.array(dtype=float),
+    cell_colors: wp.array(dtype=wp.vec3ub),
+    cell_normals: wp.array(dtype=wp.vec3),
+    points: wp.array(dtype=wp.vec3),
+    colors: wp.array(dtype=wp.vec3ub),
+    normals: wp.array(dtype=wp.vec3),
+) -> None:
+    layer = wp.tid() + first
+    vertex = grid.rim_starts[layer]
+    if vertex == grid.rim_starts[layer + 1]:
+        return
+    slot = layer >> 3
+    corner = 8 * blocks[number_of(grid.cells, slot)]
+    for axis in range(3):
+        step = step_along(axis)
+        left = rim_along(grid, layer, axis)
+        while left != NONE:
+            bit = lowest_bit(left)
+            voxel = wp.vec3i(bit & 7, bit >> 3, layer & 7)
+            share = along[vertex_number(grid.cells, layer, axis, bit)]
+            a = average_of(voxels, voxel_of(grid.cells, slot, voxel[0], voxel[1], voxel[2]))
+            b = average_of(
+                voxels, voxel_of(grid.cells, slot, voxel[0] + step[0], voxel[1] + step[1], voxel[2] + step[2])
+            )
+            at = corner + voxel
+            point = wp.vec3(float(at[0]), float(at[1]), float(at[2]))
+            point[axis] += share
+            around = wp.vec4i()
+            for cell in range(4):
+                around[cell] = vertex_in_cell(grid, slot, voxel, axis, cell)
+            copies = wp.where(((grid.parted[layer, axis] >> wp.uint64(bit)) & wp.uint64(1)) != NONE, 2, 1)
+            for copy in range(copies):
+                of_copy = around
+                if copies == 2:
+                    # Its one cell is 0 or 1, or else 2 or 3.
+                    of_copy[2 - 2 * copy] = -1
+                    of_copy[3 - 2 * copy] = -1
+                set_vertex_between(
+                    vertex, voxel_size * point, of_copy, cell_colors, cell_normals, points, colors, normals
+                )
+                colors[vertex] = color_along(a, b, share)
+                vertex += 1
+            left = left & (left - wp.uint64(1))
+
+
+def count_rim_triangles(grid: DualGrid, rim: int) -> tuple[wp.array, int]:
+    """Return how many triangles around rim edges come before each layer (layers,), and how many there are.
+
+    ``rim`` is how many vertices are on these.
+    """
+    device, layers = grid.several.device, len(grid.several)
+    starts = wp.zeros(layers + 1 if rim else 0, dtype=int, device=device)
+    if not rim:
+        return starts, 0
+    launch_over_layers(_count_triangles, dim=layers, inputs=[grid], outputs=[starts], device=device)
+    array_scan(starts, starts, inclusive=False)
+    return starts, int(starts[layers:].numpy()[0])
+
+
+def write_rim_triangles(
+    grid: DualGrid, starts: wp.array, triangles: wp.array, *, first_pin: int, first_rim: int, first_triangle: int
+) -> None:
+    """Write the triangles around rim edges behind the first ones, given the numbers of a first pin and rim vertex."""
+    launch_in_slabs(
+        _write_triangles,
+        dim=max(len(starts) - 1, 0),
+        inputs=[grid, starts, first_pin, first_rim, first_triangle],
+        outputs=[triangles],
+        device=triangles.device,
+        least_slab=256,
+    )
+
+
+def rim_vertices(
+    volume: Volume, grid: DualGrid, rim: int, along: wp.array, cells: Vertices, *, normals: bool
+) -> Vertices:
+    """Return the vertices on rim edges, at their 1-D points, with the colours of the voxels there.
+
+    Their normals are those of the ``cells``' vertices around.
+    """
+    vertices = Vertices.empty(rim, volume.device, normals=normals)
+    launch_in_slabs(
+        _place_vertices,
+        dim=len(grid.several) if rim else 0,
+        inputs=[grid, volume.table.blocks, volume.voxels, volume.voxel_size, along, cells.colors, cells.normals],
+        outputs=[vertices.points, vertices.colors, vertices.normals],
+        device=volume.device,
+        least_slab=256,
+    )
+    return vertices
