@@ -1,17 +1,10 @@
 """What the four steps can be told: properties that the panel keeps in the scene and the operators take as arguments."""
 
 # mypy: disable-error-code="valid-type,misc"
-import contextlib
 import uuid
-from pathlib import Path
 from typing import Any
 
 import bpy
-
-from .preferences import cache_folder
-
-DATASET, RECONSTRUCTION, SOURCE = "dataset", "reconstruction", "source"
-"""Folders within the folder of a scene's scan."""
 
 SUBJECTS = (
     ("SCENE", "Scene", "All that the scene would render, with its lights"),
@@ -179,21 +172,55 @@ class SCANBACK_PG_locate(LocateProperties, bpy.types.PropertyGroup):  # noqa: N8
     """Settings of the step Locate."""
 
 
+def _is_in_scene(settings: Any, item: Any) -> bool:
+    return settings.id_data in item.users_scene
+
+
+def _choose_original(settings: Any, name: str) -> None:
+    settings.original = settings.id_data.objects.get(name)
+
+
 class SCANBACK_PG_compare(CompareProperties, bpy.types.PropertyGroup):  # noqa: N801
-    """Settings of the step Compare."""
+    """Settings of the step Compare; the object is kept whatever it is called, and can be named too."""
+
+    original: bpy.props.PointerProperty(
+        type=bpy.types.Object, name="Object", description="The object that the mesh is held against", poll=_is_in_scene
+    )
+    object_name: bpy.props.StringProperty(
+        name="Object",
+        description="The name of the object that the mesh is held against",
+        get=lambda self: self.original.name if self.original is not None else "",
+        set=_choose_original,
+    )
+
+
+class SCANBACK_PG_original(bpy.types.PropertyGroup):  # noqa: N801
+    """An object whose place the reconstruction in ``folder`` takes, whatever it is called."""
+
+    item: bpy.props.PointerProperty(type=bpy.types.Object)
+    folder: bpy.props.StringProperty(subtype="DIR_PATH")
+    is_kept_from_renders: bpy.props.BoolProperty()
 
 
 class SCANBACK_PG_scene(FolderProperties, bpy.types.PropertyGroup):  # noqa: N801
     """All settings of a scene; ``token`` tells it from others, whatever it is called."""
 
     token: bpy.props.StringProperty(options={"HIDDEN"})
+    originals: bpy.props.CollectionProperty(type=SCANBACK_PG_original, options={"HIDDEN"})
     scan: bpy.props.PointerProperty(type=SCANBACK_PG_scan)
     fuse: bpy.props.PointerProperty(type=SCANBACK_PG_fuse)
     locate: bpy.props.PointerProperty(type=SCANBACK_PG_locate)
     compare: bpy.props.PointerProperty(type=SCANBACK_PG_compare)
 
 
-CLASSES = (SCANBACK_PG_scan, SCANBACK_PG_fuse, SCANBACK_PG_locate, SCANBACK_PG_compare, SCANBACK_PG_scene)
+CLASSES = (
+    SCANBACK_PG_scan,
+    SCANBACK_PG_fuse,
+    SCANBACK_PG_locate,
+    SCANBACK_PG_compare,
+    SCANBACK_PG_original,
+    SCANBACK_PG_scene,
+)
 
 
 def chosen(operator: Any, group: Any, properties: type) -> dict[str, Any]:
@@ -202,25 +229,6 @@ def chosen(operator: Any, group: Any, properties: type) -> dict[str, Any]:
         name: getattr(operator if operator.properties.is_property_set(name) else group, name)
         for name in properties.__annotations__
     }
-
-
-def scan_folder(scene: Any, given: str = "") -> Path:
-    """Return the folder of a scene's scan: as given, as set, beside the .blend file, or in the cache."""
-    named = given or scene.scanback.folder
-    blend, unsaved = bpy.data.filepath, cache_folder() / "unsaved" / (scene.scanback.token or "scene")
-    if named.startswith("//") and not blend:
-        return (unsaved / named[2:]).resolve()  # there is no file yet that it could lie beside
-    if named:
-        return Path(bpy.path.abspath(named)).resolve()
-    return Path(blend).resolve().with_name(f"{Path(blend).stem}_scanback") if blend else unsaved
-
-
-def relative_path(path: Path) -> str:
-    """Return a path as it is kept in the open file: relative to it where it was saved."""
-    if bpy.data.filepath:
-        with contextlib.suppress(ValueError):  # another drive
-            return str(bpy.path.relpath(str(path)))
-    return str(path)
 
 
 def ensure_token(scene: Any) -> str:

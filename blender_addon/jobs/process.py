@@ -11,7 +11,7 @@ from typing import Any, BinaryIO
 
 from ..errors import ReconstructionError
 
-GRACE_SECONDS = 15.0
+GRACE_SECONDS = 30.0
 """How long a process that was told to end may take to leave all in order."""
 LAST_SECONDS = 2.0
 """How long it may take when Blender itself ends, or the extension is taken away."""

@@ -8,7 +8,8 @@ import bpy
 from ..errors import ReconstructionError
 from ..results.error_colors import show_colors
 from ..results.scene_collection import MESH_PART, parts
-from ..settings import CompareProperties, FolderProperties, chosen, scan_folder
+from ..scan_folder import scan_folder
+from ..settings import CompareProperties, FolderProperties, chosen
 from ..steps.compare import compare_work, compared_settings
 from ..steps.scene_reference import remember
 from .job_operator import JobOperator, WorkMaker
@@ -29,7 +30,8 @@ class SCANBACK_OT_compare(JobOperator, FolderProperties, CompareProperties, bpy.
         settings = chosen(self, scene.scanback.compare, CompareProperties)
         truth = compared_settings(settings, scene)
         folder = scan_folder(scene, self.folder)
-        original = settings["object_name"] if truth is not None else ""
+        # Neither names nor objects stay the same while a job runs; this number does, also when something is undone.
+        original = scene.objects[settings["object_name"]].session_uid if truth is not None else 0
         return compare_work(remember(scene), folder, truth=truth, limit=settings["limit"], original=original)
 
 

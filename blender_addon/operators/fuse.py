@@ -7,7 +7,8 @@ import bpy
 
 from ..errors import ReconstructionError
 from ..results.scene_units import length_text
-from ..settings import FolderProperties, FuseProperties, chosen, scan_folder
+from ..scan_folder import scan_folder, settle_folder
+from ..settings import FolderProperties, FuseProperties, chosen
 from ..steps.estimate import estimate_work
 from ..steps.fuse import fuse_work
 from ..steps.fuse_source import dataset_of
@@ -33,7 +34,7 @@ class SCANBACK_OT_fuse(JobOperator, FolderProperties, FuseProperties, bpy.types.
         dataset = dataset_of(scene, folder, named or str(folder / "dataset"))
         if not dataset.is_dir():
             raise ReconstructionError(f"{dataset}: no such folder; scan first, or choose the folder of a dataset")
-        return fuse_work(remember(scene), folder, dataset, settings)
+        return fuse_work(remember(scene), settle_folder(scene, self.folder), dataset, settings)
 
 
 class SCANBACK_OT_estimate(JobOperator, FolderProperties, bpy.types.Operator):  # noqa: N801

@@ -14,6 +14,8 @@ from ..jobs.job import Job, Work
 from ..results.import_dataset import import_dataset
 from ..results.import_reconstruction import import_reconstruction
 from ..results.mesh_import import create_mesh_object
+from ..results.originals import originals_of, show_sides
+from ..results.viewport_colors import suit_shading
 from ..steps.bring_in import bring_in
 from ..steps.scene_reference import SceneReference, remember
 
@@ -82,7 +84,11 @@ class SCANBACK_OT_import_reconstruction(_FolderOperator, bpy.types.Operator):  #
         if _is_large(folder / MESH_FILE) and not bpy.app.background and self.options.is_invoke:
             runner.start("Import", _import_work(remember(context.scene), folder, self.match_render_size))
             return {"INTERFACE"}  # no undo step yet: the job makes its own
-        collection = import_reconstruction(context.scene, folder, match_render_size=self.match_render_size)
+        scene = context.scene
+        collection = import_reconstruction(scene, folder, match_render_size=self.match_render_size)
+        if originals_of(scene, folder):
+            show_sides(scene, collection, original=False, reconstruction=True)
+        suit_shading(scene)
         self.report({"INFO"}, f"Imported {folder.name} into the collection {collection.name}")
         return {"FINISHED"}
 

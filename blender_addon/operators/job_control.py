@@ -6,7 +6,7 @@ from typing import Any
 import bpy
 
 from ..jobs import runner
-from ..settings import scan_folder
+from ..scan_folder import scan_folder
 
 LOG_NAME = "Scanback log"
 

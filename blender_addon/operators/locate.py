@@ -9,7 +9,8 @@ import numpy as np
 from ..errors import ReconstructionError
 from ..files.reconstruction_files import Pose
 from ..results.camera_conversion import CAMERA_OPENCV_FROM_BLENDER
-from ..settings import FolderProperties, LocateProperties, chosen, scan_folder
+from ..scan_folder import scan_folder
+from ..settings import FolderProperties, LocateProperties, chosen
 from ..steps.locate import LocateQuery, locate_work
 from ..steps.scene_reference import remember
 from .job_operator import JobOperator, WorkMaker

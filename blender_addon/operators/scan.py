@@ -5,9 +5,10 @@ from typing import Any
 
 import bpy
 
-from ..settings import DATASET, FolderProperties, ScanProperties, chosen, relative_path, scan_folder
+from ..scan_folder import DATASET, scan_folder, settle_folder
+from ..settings import FolderProperties, ScanProperties, chosen
 from ..steps.scan import begun_scan, prepare_scan, scan_work
-from ..steps.scene_reference import remember
+from ..steps.scene_reference import push_undo, remember
 from .job_operator import JobOperator, WorkMaker
 
 
@@ -45,9 +46,8 @@ class SCANBACK_OT_scan(JobOperator, FolderProperties, ScanProperties, bpy.types.
         folder = scan_folder(scene, self.folder)
         active = context.view_layer.objects.active
         order = prepare_scan(scene, active, folder, settings, overwrite=self.overwrite)
-        if not (self.folder or scene.scanback.folder):
-            # The place that an empty setting stands for moves with the file; the scan stays.
-            scene.scanback.folder = relative_path(folder)
+        settle_folder(scene, self.folder)
+        push_undo("Scanback: Scan")  # what was scanned is known from now on
         return scan_work(order)
 
 

@@ -12,7 +12,7 @@ from ..files.reconstruction_files import POSES_FILE, RECONSTRUCTION_FILE, Record
 from ..results.import_dataset import record_of_frames
 from ..results.scene_collection import find_collection, folder_of, our_collections
 from ..results.scene_units import record_in_units, unit_of
-from ..settings import RECONSTRUCTION, scan_folder
+from ..scan_folder import RECONSTRUCTION, scan_folder
 
 
 def find_shown(context: Any) -> bpy.types.Collection | None:

@@ -7,6 +7,7 @@ import bpy
 
 from ..errors import ReconstructionError
 from ..results.originals import originals_of, show_sides
+from ..results.scene_collection import folder_of
 from ..results.viewport_colors import suit_shading
 from .shown_collection import find_shown, shown_collection
 
@@ -22,11 +23,11 @@ class SCANBACK_OT_show_side(bpy.types.Operator):  # noqa: N801 - Blender's namin
 
     bl_idname = "scanback.show_side"
     bl_label = "Show Original or Reconstruction"
-    bl_description = "Choose which is shown in the viewport of what was scanned and its reconstruction"
+    bl_description = "Choose which is shown of what was scanned and its reconstruction, in viewports and renders"
     bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012 - Blender reads it once
 
     side: bpy.props.EnumProperty(
-        name="Show", description="What the viewport shows", items=SIDES, default="RECONSTRUCTION"
+        name="Show", description="What viewports and renders show", items=SIDES, default="RECONSTRUCTION"
     )
 
     @classmethod
@@ -41,7 +42,7 @@ class SCANBACK_OT_show_side(bpy.types.Operator):  # noqa: N801 - Blender's namin
         if collection is None:
             cls.poll_message_set("The scene has no reconstruction")
             return False
-        if not originals_of(context.scene, collection):
+        if not originals_of(context.scene, folder_of(collection)):
             cls.poll_message_set("What was scanned is not in this scene")
             return False
         return True

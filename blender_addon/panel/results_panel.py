@@ -10,7 +10,7 @@ from ..operators.sides import SIDES, SCANBACK_OT_show_side
 from ..operators.views import SCANBACK_OT_look_through, SCANBACK_OT_replay, SCANBACK_OT_step_view
 from ..results.look_through import FRAME, RANKING, neighbour, view_camera
 from ..results.originals import is_shown, originals_of
-from ..results.scene_collection import MESH_PART, parts
+from ..results.scene_collection import MESH_PART, folder_of, parts
 
 
 class SCANBACK_PT_reconstruction(bpy.types.Panel):  # type: ignore[misc]  # noqa: N801 - Blender's naming
@@ -35,7 +35,7 @@ class SCANBACK_PT_reconstruction(bpy.types.Panel):  # type: ignore[misc]  # noqa
 
     def _draw_sides(self, context: Any, collection: bpy.types.Collection) -> None:
         """Draw what is shown of what stands in one place: what was scanned, or its reconstruction."""
-        originals = originals_of(context.scene, collection)
+        originals = originals_of(context.scene, folder_of(collection))
         if not originals:
             return
         shown = is_shown(context.scene, originals), is_shown(context.scene, parts(collection, MESH_PART))

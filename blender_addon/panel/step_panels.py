@@ -20,7 +20,7 @@ from ..operators.shown_collection import find_shown
 from ..results.error_colors import NUMBERS_KEY, has_errors, shows_errors
 from ..results.scene_collection import MESH_PART, parts
 from ..results.scene_units import length_text, metres_per_unit
-from ..settings import scan_folder
+from ..scan_folder import scan_folder
 from ..steps import reasons
 from ..steps.estimate import VOXELS_PER_TRUNCATION, known_estimate
 from ..steps.fuse_source import dataset_of
@@ -207,7 +207,7 @@ class SCANBACK_PT_compare(_StepPanel, bpy.types.Panel):  # type: ignore[misc]  #
         if settings.truth == "OBJECT":
             column = self.layout.column()
             column.use_property_split = True
-            column.prop_search(settings, "object_name", context.scene, "objects")
+            column.prop(settings, "original")
         collection = find_shown(context)
         meshes = parts(collection, MESH_PART) if collection is not None else []
         compared = [item for item in meshes if has_errors(item)]

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import bpy
 
-from ..settings import relative_path
+from ..scan_folder import relative_path
 
 ALPHA = 0.5
 

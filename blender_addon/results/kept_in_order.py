@@ -1,4 +1,4 @@
-"""Handlers that keep what we put into files in order: paths relative to a saved file, no growing mesh left behind."""
+"""Handlers that keep what we put into files in order: relative paths, no growing mesh, nothing that was deleted."""
 
 from typing import Any
 
@@ -7,6 +7,7 @@ from bpy.app.handlers import persistent
 
 from ..jobs import runner
 from .live_mesh import remove_live_meshes
+from .originals import forget_deleted, keep_again
 from .scene_collection import FOLDER_KEY
 
 _PATHS = {"": ("folder",), "fuse": ("dataset",), "locate": ("color_file", "depth_file")}
@@ -20,11 +21,15 @@ def _places() -> list[tuple[Any, str]]:
         for block in bpy.data.collections
         if block.library is None and isinstance(block.get(FOLDER_KEY), str)
     ]
-    for scene in bpy.data.scenes:
-        if scene.library is None:
-            for group, names in _PATHS.items():
-                found += [(getattr(scene.scanback, group) if group else scene.scanback, name) for name in names]
+    for scene in _own_scenes():
+        for group, names in _PATHS.items():
+            found += [(getattr(scene.scanback, group) if group else scene.scanback, name) for name in names]
+        found += [(entry, "folder") for entry in scene.scanback.originals]
     return found
+
+
+def _own_scenes() -> list[bpy.types.Scene]:
+    return [scene for scene in bpy.data.scenes if scene.library is None]
 
 
 def _get(owner: Any, name: str) -> str:
@@ -59,6 +64,8 @@ _before_saving: list[tuple[Any, str, str]] = []
 
 @persistent  # type: ignore[untyped-decorator]
 def _before_save(file: str = "", *_: object) -> None:
+    for scene in _own_scenes():
+        forget_deleted(scene)
     _before_saving[:] = _absolute()
     if file:
         _make_relative(file, _before_saving)
@@ -80,6 +87,8 @@ def _remove_what_grew(*_: object) -> None:
 @persistent  # type: ignore[untyped-decorator]
 def _after_load(*_: object) -> None:
     remove_live_meshes()
+    for scene in _own_scenes():
+        keep_again(scene)
 
 
 _HANDLERS = {

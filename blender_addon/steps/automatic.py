@@ -7,7 +7,7 @@ import bpy
 
 from ..errors import ReconstructionError
 from ..results.scene_units import metres_per_unit
-from ..settings import scan_folder
+from ..scan_folder import scan_folder
 from .estimate import VOXELS_PER_TRUNCATION, known_estimate
 from .fuse_source import dataset_of
 from .scan_source import fitting_distance

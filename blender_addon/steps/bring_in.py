@@ -1,6 +1,6 @@
 """A reconstruction brought into the scene in pieces, so that the interface stays alive."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 import bpy
@@ -10,7 +10,7 @@ from ..files.reconstruction_files import Reconstruction, read_reconstruction
 from ..jobs.job import Job, Pace, Work
 from ..results.import_reconstruction import MESH_NAME, place_reconstruction
 from ..results.mesh_import import fill_mesh, object_of
-from ..results.originals import note_originals, show_sides
+from ..results.originals import originals_of, show_sides
 from ..results.scene_units import reconstruction_in_units
 from ..results.viewport_colors import suit_shading
 from .scene_reference import SceneReference, push_undo
@@ -25,13 +25,12 @@ def bring_in(
     *,
     undo: str | None,
     match_render_size: bool = False,
-    originals: Sequence[str] = (),
     before_placing: Callable[[], None] = lambda: None,
 ) -> Work[Reconstruction]:
     """Read a reconstruction in a thread and put it into the scene, in its units; one undo step, named ``undo``.
 
     Where ``undo`` is None, the step is the caller's. The size of the scene's renders is the user's, unless
-    ``match_render_size`` gives it that of the scan. The objects named ``originals``, whose place it takes, are hidden.
+    ``match_render_size`` gives it that of the scan. Its originals in the scene are hidden.
     """
 
     def read() -> tuple[Reconstruction, MeshArrays]:
@@ -45,8 +44,7 @@ def bring_in(
     before_placing()
     mesh = object_of(MESH_NAME, bpy.data.meshes[name])
     collection = place_reconstruction(target, reconstruction, mesh, match_render_size=match_render_size)
-    if originals:
-        note_originals(collection, originals)
+    if originals_of(target, folder):
         show_sides(target, collection, original=False, reconstruction=True)
     suit_shading(target)
     if undo is not None:

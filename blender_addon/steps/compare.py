@@ -12,6 +12,7 @@ from ..errors import ReconstructionError
 from ..files.ply_mesh import write_triangles
 from ..files.reconstruction_files import MESH_FILE, read_record
 from ..jobs.command import Command
+from ..jobs.folder_claim import while_claimed
 from ..jobs.job import Job, Work
 from ..preferences import fusion_device
 from ..results.error_colors import put_errors
@@ -19,7 +20,7 @@ from ..results.originals import note_originals, show_sides
 from ..results.scene_collection import MESH_PART, find_collection, parts
 from ..results.scene_units import length_text
 from ..results.viewport_colors import suit_shading
-from ..settings import RECONSTRUCTION
+from ..scan_folder import RECONSTRUCTION
 from .bring_in import bring_in
 from .evaluation import evaluated_as_shown
 from .scene_reference import SceneReference, push_undo
@@ -28,13 +29,13 @@ NUMBERS = ("chamfer_m", "accuracy_m", "completeness_m", "fscore", "normal_consis
 
 
 def compare_work(
-    scene: SceneReference, folder: Path, *, truth: tuple[NDArray, NDArray] | None, limit: float, original: str = ""
+    scene: SceneReference, folder: Path, *, truth: tuple[NDArray, NDArray] | None, limit: float, original: int = 0
 ) -> Callable[[Job], Work[str]]:
     """Return the job that compares the reconstruction of ``folder`` and colours its mesh in the scene.
 
     ``truth`` has vertices (N, 3) and triangles (M, 3); None takes the mesh that the dataset keeps. Its vertices and
     ``limit``, the distance that has the last colour, are in the scene's units; what is measured is in metres. The
-    object named ``original`` is hidden, so that the colours can be seen.
+    object whose session_uid is ``original`` is hidden, so that the colours can be seen.
     """
 
     def work(job: Job) -> Work[str]:
@@ -64,13 +65,13 @@ def compare_work(
         accuracy, completeness = (length_text(scene.find(), numbers[name]) for name in ("accuracy_m", "completeness_m"))
         return f"The mesh is {accuracy} from the original on average, the original {completeness} from the mesh"
 
-    return work
+    return while_claimed(folder, work)
 
 
-def _show_mesh_alone(scene: bpy.types.Scene, out: Path, original: str) -> None:
+def _show_mesh_alone(scene: bpy.types.Scene, out: Path, original: int) -> None:
     collection = find_collection(scene, out.resolve())
     assert collection is not None, "it holds the mesh"
-    note_originals(collection, [original] if original else [])
+    note_originals(scene, out.resolve(), [item for item in scene.objects if item.session_uid == original])
     show_sides(scene, collection, original=False, reconstruction=True)
     suit_shading(scene)
 

@@ -4,11 +4,15 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import bpy
+
 from ..jobs.command import Command
+from ..jobs.folder_claim import while_claimed
 from ..jobs.job import Job, Work
 from ..preferences import fusion_device
 from ..results.live_mesh import LiveMesh
-from ..settings import DATASET, RECONSTRUCTION
+from ..results.originals import named, note_originals, originals_of
+from ..scan_folder import DATASET, RECONSTRUCTION
 from .bring_in import bring_in
 from .scan import scanned_objects
 from .scene_reference import SceneReference
@@ -41,19 +45,30 @@ def fuse_work(
     def work(job: Job) -> Work[str]:
         out = folder / RECONSTRUCTION
         unit, growing = scene.metres_per_unit, job.folder / "live.ply"
-        originals = scanned_objects(folder) if dataset == folder / DATASET else ()
-        live = LiveMesh(growing, out, scene.find, unit=unit, originals=originals)
+        live = LiveMesh(growing, out, scene.find, unit=unit)
         snapshots = growing if settings["live"] else None
         command = fuse_command(dataset, out, settings, snapshots=snapshots, metres_per_unit=unit)
+
+        def recall() -> None:
+            if dataset == folder / DATASET:
+                _recall_originals(scene.find(), folder)
+
         try:
+            recall()
             yield from job.run(command, meanwhile=live.follow)
             forget()
-            made = yield from bring_in(
-                job, scene, out, undo="Scanback: Fuse", originals=originals, before_placing=live.remove
-            )
+            recall()
+            made = yield from bring_in(job, scene, out, undo="Scanback: Fuse", before_placing=live.remove)
         finally:
             live.remove()
-        hidden = "; the original is hidden" if originals else ""
+        hidden = "; the original is hidden" if originals_of(scene.find(), out) else ""
         return f"Fused {len(made.trajectory)} frames into {len(made.mesh.triangles):,} triangles{hidden}"
 
-    return work
+    return while_claimed(folder, work, makes=True)
+
+
+def _recall_originals(scene: bpy.types.Scene, folder: Path) -> None:
+    """Have a scene know what was scanned into ``folder``, by name where an undo, or another file, knows no better."""
+    out = folder / RECONSTRUCTION
+    if not originals_of(scene, out):
+        note_originals(scene, out, named(scene, scanned_objects(folder)))

@@ -5,7 +5,7 @@ from typing import Any
 
 import bpy
 
-from ..settings import DATASET
+from ..scan_folder import DATASET
 
 
 def dataset_of(scene: Any, folder: Path, given: str = "") -> Path:

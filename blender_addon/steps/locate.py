@@ -10,11 +10,12 @@ from ..files.dataset_files import write_pose, write_single_view
 from ..files.json_values import read_json
 from ..files.reconstruction_files import Pose, Record, read_record
 from ..jobs.command import Command
+from ..jobs.folder_claim import while_claimed
 from ..jobs.job import Job, Work
 from ..preferences import fusion_device
 from ..results.import_reconstruction import place_located
 from ..results.scene_units import pose_in_metres
-from ..settings import RECONSTRUCTION
+from ..scan_folder import RECONSTRUCTION
 from .bring_in import bring_in
 from .scene_reference import SceneReference, push_undo
 from .status import status_of
@@ -57,7 +58,7 @@ def locate_work(scene: SceneReference, folder: Path, query: LocateQuery) -> Call
         whose = f"frame {first.query}" if query.settings["query"] in DATASET_QUERIES else "this view"
         return f"Nearest to {whose} is frame {first.nearest}{verdict}{more}"
 
-    return work
+    return while_claimed(folder, work)
 
 
 def _queries(job: Job, record: Record, query: LocateQuery, unit: float) -> Work[tuple[Path, str | None]]:

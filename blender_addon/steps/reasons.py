@@ -5,7 +5,7 @@ from typing import Any
 
 from ..jobs import runner
 from ..jobs.command import missing_packages
-from ..settings import scan_folder
+from ..scan_folder import scan_folder
 from .fuse_source import dataset_of
 from .scan_source import why_nothing_to_scan
 from .status import Status, status_of

@@ -9,9 +9,11 @@ from typing import Any
 
 from ..errors import ReconstructionError
 from ..jobs.command import Command
+from ..jobs.folder_claim import claiming, while_claimed
 from ..jobs.job import Job, Work
 from ..preferences import render_device
-from ..settings import DATASET, SOURCE
+from ..results.originals import forget_deleted, note_originals
+from ..scan_folder import DATASET, RECONSTRUCTION, SOURCE
 from .estimate import estimate_command, note_estimate
 from .scan_source import scanned, write_source
 from .status import forget
@@ -42,8 +44,15 @@ class ScanOrder:
 def prepare_scan(scene: Any, active: Any, folder: Path, settings: dict[str, Any], *, overwrite: bool) -> ScanOrder:
     """Write what is to be scanned into ``folder``, in the place of what was there.
 
-    Raises ReconstructionError, with nothing changed, where there is a dataset to be kept or no place to write to.
+    Raises ReconstructionError, with nothing changed, where there is a dataset to be kept, no place to write to, or
+    another Blender at work.
     """
+    with claiming(folder, makes=True):
+        _replace_source(scene, active, folder, settings, overwrite=overwrite)
+    return begun_scan(folder)
+
+
+def _replace_source(scene: Any, active: Any, folder: Path, settings: dict[str, Any], *, overwrite: bool) -> None:
     dataset = folder / DATASET
     if dataset.exists():
         if not overwrite:
@@ -51,23 +60,25 @@ def prepare_scan(scene: Any, active: Any, folder: Path, settings: dict[str, Any]
                 f"{dataset}: holds a scan already; go on with it, scan again in its place, or choose another folder"
             )
         begun_scan(folder)  # else the dataset is somebody else's
+    forget_deleted(scene)  # else they would be written with the scene
     new = folder / f"{SOURCE}.new"
     try:
         _remove(new)
         write_source(scene, active, new, settings)
         content = {name: settings[name] for name in ("preset", "sensor", "frames")}
-        content["objects"] = [item.name for item in scanned(scene, active, settings["subject"])]
+        objects = scanned(scene, active, settings["subject"])
+        content["objects"] = [item.name for item in objects]
         (new / ORDER_FILE).write_text(json.dumps(content), encoding="utf-8")
         # What there was is removed when all that takes its place could be written.
         _remove(dataset)
         _remove(folder / SOURCE)
         new.rename(folder / SOURCE)
+        note_originals(scene, (folder / RECONSTRUCTION).resolve(), objects, anew=True)
     except BaseException:
         shutil.rmtree(new, ignore_errors=True)
         raise
     finally:
         forget()
-    return begun_scan(folder)
 
 
 def begun_scan(folder: Path) -> ScanOrder:
@@ -110,7 +121,7 @@ def scan_work(order: ScanOrder) -> Callable[[Job], Work[str]]:
         note_estimate(order.dataset, (yield from job.run(estimate_command(order.dataset))))
         return f"Scanned {order.frames} frames into {order.dataset}"
 
-    return work
+    return while_claimed(order.folder, work)
 
 
 def _remove(folder: Path) -> None:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import ReconstructionError
+from ..results.originals import kept_from_renders
 from ..results.scene_collection import is_ours
 from ..results.scene_units import metres_per_unit
 from .evaluation import evaluated_as_shown
@@ -72,23 +73,26 @@ def _subject(scene: bpy.types.Scene, active: Any, kind: str) -> list[bpy.types.O
 def scanned(scene: bpy.types.Scene, active: Any, kind: str) -> list[bpy.types.Object]:
     """Return the objects whose surfaces are scanned: of the active one and its children, or of the whole scene."""
     family = [active, *active.children_recursive] if kind == "OBJECT" else scene.objects
-    return [item for item in family if _is_scanned(item)]
+    kept = kept_from_renders(scene)
+    return [item for item in family if _is_scanned(item, kept)]
 
 
 def why_nothing_to_scan(scene: bpy.types.Scene, active: Any, kind: str) -> str | None:
     """Say why there is nothing to scan, None where there is something. It stops at the first surface: panels ask."""
+    kept = kept_from_renders(scene)
     if kind != "OBJECT":
-        there = any(_is_scanned(item) for item in scene.objects)
+        there = any(_is_scanned(item, kept) for item in scene.objects)
         return None if there else "The scene has no object with a surface that renders; add one"
     if active is None:
         return "There is no active object; select one, or scan the whole scene"
-    there = any(_is_scanned(item) for item in (active, *active.children_recursive))
+    there = any(_is_scanned(item, kept) for item in (active, *active.children_recursive))
     return None if there else f"{active.name} has no surface that renders; select another object"
 
 
-def _is_scanned(item: bpy.types.Object) -> bool:
+def _is_scanned(item: bpy.types.Object, kept: set[bpy.types.Object]) -> bool:
+    """Tell whether an object is scanned; those ``kept`` from renders by their reconstruction are scanned again."""
     drawn = item.type in SURFACES or item.instance_type == "COLLECTION"
-    return drawn and not item.hide_render and not is_ours(item)
+    return drawn and (not item.hide_render or item in kept) and not is_ours(item)
 
 
 def bounds_of(objects: Iterable[bpy.types.Object], scene: bpy.types.Scene) -> Bounds:
@@ -205,21 +209,23 @@ def _write_blend(scene: bpy.types.Scene, family: list[bpy.types.Object] | None, 
     for item in scene.objects:
         if item.mode != "OBJECT":
             item.update_from_editmode()
-    with _ours_hidden(), _scene_of(scene, family) as written:
+    with _as_it_was_scanned(scene), _scene_of(scene, family) as written:
         bpy.data.libraries.write(str(path), {written}, path_remap="ABSOLUTE")
 
 
 @contextlib.contextmanager
-def _ours_hidden() -> Iterator[None]:
-    """Hide what an earlier reconstruction put into the scene from the scan."""
-    shown = [item for item in itertools.chain(bpy.data.objects, bpy.data.collections) if _hides(item)]
-    for item in shown:
-        item.hide_render = True
+def _as_it_was_scanned(scene: bpy.types.Scene) -> Iterator[None]:
+    """Have what an earlier reconstruction put into the scene render no more, and its originals in their place."""
+    ours = [item for item in itertools.chain(bpy.data.objects, bpy.data.collections) if _hides(item)]
+    originals = [item for item in kept_from_renders(scene) if item.hide_render]
+    changes = [(item, True) for item in ours] + [(item, False) for item in originals]
+    for item, hidden in changes:
+        item.hide_render = hidden
     try:
         yield
     finally:
-        for item in shown:
-            item.hide_render = False
+        for item, hidden in changes:
+            item.hide_render = not hidden
 
 
 def _hides(item: Any) -> bool:

@@ -6,7 +6,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..settings import DATASET, RECONSTRUCTION
+from ..scan_folder import DATASET, RECONSTRUCTION
 
 KEEP_SECONDS = 1.0
 POSE_SUFFIX = ".pose.txt"

@@ -18,7 +18,7 @@ from blender_addon.results.import_reconstruction import import_reconstruction
 from blender_addon.results.live_mesh import LiveMesh, remove_live_meshes
 from blender_addon.results.mesh_import import create_mesh_object, fill_mesh
 from blender_addon.results.scene_collection import FOLDER_KEY, MESH_PART, parts
-from blender_addon.settings import scan_folder
+from blender_addon.scan_folder import scan_folder
 
 HANDLERS = ("load_post", "save_pre", "save_post", "save_post_fail", "undo_post", "redo_post")
 

@@ -7,14 +7,11 @@ from typing import Any
 import bpy
 import pytest
 
-from blender_addon.errors import ReconstructionError
 from blender_addon.results.import_reconstruction import import_reconstruction
 from blender_addon.results.live_mesh import LiveMesh, remove_live_meshes
 from blender_addon.results.originals import note_originals, originals_of, show_sides
 from blender_addon.results.scene_collection import LIVE_PART, MESH_PART, PART_KEY, parts
 from blender_addon.settings import ScanProperties
-from blender_addon.steps.compare import triangles_of
-from blender_addon.steps.evaluation import evaluated_as_shown
 from blender_addon.steps.scan import prepare_scan, scanned_objects
 
 pytestmark = pytest.mark.usefixtures("extension")
@@ -30,6 +27,10 @@ def _cube(name: str = "Cube") -> bpy.types.Object:
 @pytest.fixture
 def collection(extension: None, sphere_scan: Any) -> bpy.types.Collection:
     return import_reconstruction(bpy.context.scene, sphere_scan.folder)
+
+
+def _note(scan: Any, *names: str) -> None:
+    note_originals(bpy.context.scene, scan.folder, [bpy.data.objects[name] for name in names])
 
 
 def _shown(collection: bpy.types.Collection) -> tuple[bool, bool]:
@@ -52,9 +53,11 @@ def test_a_scan_notes_what_was_scanned(tmp_path: Path) -> None:
     assert scanned_objects(tmp_path / "none") == ()
 
 
-def test_one_of_both_is_shown_and_each_choice_is_one_step_back(collection: bpy.types.Collection) -> None:
+def test_one_of_both_is_shown_and_each_choice_is_one_step_back(
+    collection: bpy.types.Collection, sphere_scan: Any
+) -> None:
     _cube()
-    note_originals(collection, ["Cube", "gone"])
+    _note(sphere_scan, "Cube")
     show_sides(bpy.context.scene, collection, original=False, reconstruction=True)
     bpy.ops.ed.undo_push(message="fused")
     name = collection.name
@@ -70,13 +73,13 @@ def test_one_of_both_is_shown_and_each_choice_is_one_step_back(collection: bpy.t
 
 
 def test_viewports_show_vertex_colors_as_they_are_where_nothing_else_is_seen(
-    collection: bpy.types.Collection,
+    collection: bpy.types.Collection, sphere_scan: Any
 ) -> None:
     area = next(area for area in bpy.context.window_manager.windows[0].screen.areas if area.type == "VIEW_3D")
     shading = area.spaces.active.shading
     assert (shading.type, shading.color_type, shading.light) == ("SOLID", "MATERIAL", "STUDIO")
     _cube()
-    note_originals(collection, ["Cube"])
+    _note(sphere_scan, "Cube")
     for side, expected in (
         ("RECONSTRUCTION", ("VERTEX", "FLAT")),
         ("BOTH", ("VERTEX", "STUDIO")),
@@ -93,21 +96,18 @@ def test_viewports_show_vertex_colors_as_they_are_where_nothing_else_is_seen(
 
 def test_importing_again_keeps_who_the_originals_are(collection: bpy.types.Collection, sphere_scan: Any) -> None:
     cube = _cube()
-    note_originals(collection, ["Cube"])
-    again = import_reconstruction(bpy.context.scene, sphere_scan.folder)
-    assert originals_of(bpy.context.scene, again) == [cube]
-    note_originals(again, ["Cube"])
-    assert originals_of(bpy.context.scene, again) == [cube]
+    for _ in range(2):
+        _note(sphere_scan, "Cube")
+        assert bpy.ops.scanback.import_reconstruction(directory=str(sphere_scan.folder)) == {"FINISHED"}
+        assert originals_of(bpy.context.scene, sphere_scan.folder) == [cube]
+        assert _shown(collection) == (False, True)
 
 
-def test_without_originals_there_is_nothing_to_choose(collection: bpy.types.Collection) -> None:
+def test_without_originals_there_is_nothing_to_choose(collection: bpy.types.Collection, sphere_scan: Any) -> None:
     with pytest.raises(RuntimeError, match="What was scanned is not in this scene"):
         bpy.ops.scanback.show_side(side="ORIGINAL")
-    collection["scanback_originals"] = "not ours"
-    with pytest.raises(RuntimeError, match="What was scanned is not in this scene"):
-        bpy.ops.scanback.show_side(side="ORIGINAL")
-    note_originals(collection, ["Scanback mesh"])  # our own mesh is no original
-    assert not originals_of(bpy.context.scene, collection)
+    _note(sphere_scan, "Scanback mesh")  # our own mesh is no original
+    assert not originals_of(bpy.context.scene, sphere_scan.folder)
 
 
 def test_what_grows_pushes_aside_what_is_seen_and_gives_it_back(
@@ -117,58 +117,23 @@ def test_what_grows_pushes_aside_what_is_seen_and_gives_it_back(
     scene = bpy.context.scene
     cube, closed = _cube(), _cube("Closed")
     closed.hide_set(True)
-    originals = ["Cube", "Closed", "gone"]
-    live = LiveMesh(sphere_scan.folder / "mesh.ply", sphere_scan.folder, lambda: scene, originals=originals)
+    _note(sphere_scan, "Cube", "Closed")
+    live = LiveMesh(sphere_scan.folder / "mesh.ply", sphere_scan.folder, lambda: scene)
     while not any(item.get(PART_KEY) == LIVE_PART for item in scene.objects):
         live.follow()
     (mesh,) = parts(collection, MESH_PART)
     assert [item.visible_get() for item in (cube, closed, mesh)] == [False, False, False]
+    assert [item.hide_render for item in (cube, closed, mesh)] == [True, True, True]
+    cube.name = "Renamed"
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "meanwhile.blend"))
     live.remove()
     assert [item.visible_get() for item in (cube, closed, mesh)] == [True, False, True]
+    assert not any(item.hide_render for item in (cube, closed, mesh))
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "meanwhile.blend"))
-    names = ("Cube", "Closed", "Scanback mesh")
-    assert [bpy.data.objects[name].visible_get() for name in names] == [True, False, True]
+    there = [bpy.data.objects[name] for name in ("Renamed", "Closed", "Scanback mesh")]
+    assert [item.visible_get() for item in there] == [True, False, True]
+    assert not any(item.hide_render for item in there)
     remove_live_meshes()
-
-
-@pytest.mark.parametrize("hide", ["eye", "screen", "collection's eye", "collection's screen"])
-def test_a_hidden_object_is_taken_as_its_modifiers_make_it(hide: str) -> None:
-    """Blender evaluates nothing that no viewport shows: what is hidden must be shown for that."""
-    scene = bpy.context.scene
-    group = bpy.data.collections.new("Group")
-    scene.collection.children.link(group)
-    cube = _cube()
-    group.objects.link(cube)
-    scene.collection.objects.unlink(cube)
-    cube.modifiers.new("Subdivision", "SUBSURF").levels = 1
-    layer = bpy.context.view_layer.layer_collection.children["Group"]
-    bpy.context.view_layer.update()
-    if hide == "eye":
-        cube.hide_set(True)
-    else:
-        owner = {"screen": cube, "collection's eye": layer, "collection's screen": group}[hide]
-        owner.hide_viewport = True
-    cube.location.x = 5
-    bpy.context.view_layer.update()
-    vertices, triangles = triangles_of(cube)
-    assert len(triangles) == 2 * 4 * 6
-    assert vertices[:, 0].mean() == pytest.approx(5, abs=1e-5)
-    assert not cube.visible_get()
-    with evaluated_as_shown([cube]):
-        assert cube.visible_get()
-    assert not cube.visible_get()
-
-
-def test_an_object_that_the_view_layer_excludes_is_refused() -> None:
-    group = bpy.data.collections.new("Group")
-    bpy.context.scene.collection.children.link(group)
-    cube = _cube()
-    group.objects.link(cube)
-    bpy.context.scene.collection.objects.unlink(cube)
-    bpy.context.view_layer.layer_collection.children["Group"].exclude = True
-    with pytest.raises(ReconstructionError, match="Cube is excluded from the view layer; include its collection"):
-        triangles_of(cube)
 
 
 def test_a_scan_begun_by_an_older_version_is_gone_on_with(tmp_path: Path) -> None:
@@ -176,3 +141,76 @@ def test_a_scan_begun_by_an_older_version_is_gone_on_with(tmp_path: Path) -> Non
     order = {"preset": "draft", "sensor": "NONE", "frames": 3}
     (tmp_path / "source" / "scan.json").write_text(json.dumps(order))
     assert scanned_objects(tmp_path) == ()
+
+
+def test_who_the_originals_are_outlives_names_undo_and_the_file(
+    collection: bpy.types.Collection, sphere_scan: Any, tmp_path: Path
+) -> None:
+    _cube("First")
+    _cube("Second")
+    bpy.ops.ed.undo_push(message="before")
+    _note(sphere_scan, "First", "Second")
+    bpy.ops.ed.undo_push(message="scanned")
+    bpy.data.objects["First"].name = "Renamed"
+    bpy.ops.ed.undo_push(message="renamed")
+
+    def names() -> list[str]:
+        return sorted(item.name for item in originals_of(bpy.context.scene, sphere_scan.folder))
+
+    assert names() == ["Renamed", "Second"]
+    bpy.ops.ed.undo()
+    assert names() == ["First", "Second"]
+    bpy.ops.ed.undo()
+    assert names() == []  # before they were scanned
+    bpy.ops.ed.redo()
+    bpy.ops.ed.redo()
+    assert names() == ["Renamed", "Second"]
+    (tmp_path / "elsewhere").mkdir()
+    for name in ("a.blend", "elsewhere/b.blend"):
+        bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / name))
+        bpy.ops.wm.open_mainfile(filepath=str(tmp_path / name))
+        assert names() == ["Renamed", "Second"]
+        assert bpy.context.scene.scanback.originals[0].folder.startswith("//")
+    bpy.data.objects["Second"].name = "Other"
+    bpy.data.objects["Renamed"].name = "Second"
+    assert names() == ["Other", "Second"]
+    assert bpy.ops.scanback.show_side(side="RECONSTRUCTION") == {"FINISHED"}
+    assert not any(bpy.data.objects[name].visible_get() for name in names())
+
+
+def test_an_original_that_was_deleted_is_gone_and_comes_back_with_an_undo(
+    collection: bpy.types.Collection, sphere_scan: Any, tmp_path: Path
+) -> None:
+    """What is kept of it does not keep it in the file."""
+    cube = _cube()
+    scene = bpy.context.scene
+    _note(sphere_scan, "Cube")
+    scene.scanback.compare.original = cube
+    bpy.ops.ed.undo_push(message="before")
+    with bpy.context.temp_override(selected_objects=[cube]):
+        bpy.ops.object.delete()
+    bpy.ops.ed.undo_push(message="deleted")
+    assert not originals_of(scene, sphere_scan.folder)
+    with pytest.raises(RuntimeError, match="What was scanned is not in this scene"):
+        bpy.ops.scanback.show_side(side="ORIGINAL")
+    bpy.ops.ed.undo()
+    assert [item.name for item in originals_of(bpy.context.scene, sphere_scan.folder)] == ["Cube"]
+    bpy.ops.ed.redo()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "saved.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "saved.blend"))
+    assert "Cube" not in bpy.data.objects
+    assert not bpy.context.scene.scanback.originals
+    assert bpy.context.scene.scanback.compare.object_name == ""
+
+
+def test_a_new_scan_lets_go_of_what_was_scanned_before(collection: bpy.types.Collection, sphere_scan: Any) -> None:
+    first, second = _cube("First"), _cube("Second")
+    scene = bpy.context.scene
+    _note(sphere_scan, "First")
+    show_sides(scene, collection, original=False, reconstruction=True)
+    assert not first.visible_get()
+    assert first.hide_render
+    note_originals(scene, sphere_scan.folder, [second], anew=True)
+    assert originals_of(scene, sphere_scan.folder) == [second]
+    assert first.visible_get()
+    assert not first.hide_render
