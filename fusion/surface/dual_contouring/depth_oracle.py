@@ -21,8 +21,9 @@ from fusion.frames.frame_matrices import frame_matrices
 from fusion.integration.options import Integration
 from fusion.integration.pixel_weights import pixel_weights
 from fusion.integration.visible_blocks import PARTS
-from fusion.surface.dual_contouring.depth_views import LOOK_IN_CPP, views_type
+from fusion.surface.dual_contouring.depth_views import LOOK_IN_CPP, declared, views_type
 from fusion.surface.dual_contouring.frame_choice import MOST_FRAMES, choose_frames, score_kernel
+from fusion.surface.dual_contouring.lanes import lanes_for
 from fusion.surface.dual_contouring.oracle import NOT_KNOWN, Oracle
 from fusion.volume.tsdf_volume import Volume
 
@@ -41,12 +42,13 @@ FIELD_MODULES = tuple(f"fusion.surface.dual_contouring.{name}" for name in ("dep
 _VALUE_IN_CPP = """
     const V none = 0.0f, one = 1.0f;
     const float farthest = truncation / voxel_size;
-    const int most = chosen.shape[1], count = counts.data[row];
-    const int *list = chosen.data + (size_t)row * most;
+    const int room = columns.shape[2], count = counts.data[row];
+    const int *list = chosen.data + (size_t)row * chosen.shape[1];
+    const float *own = columns.data + (size_t)slot * 12 * room;
     V sums = none, totals = none, hidden = none;
     for (int first = 0; first < count; first += LANES) {
         V d, w;
-        look([&](int lane) { return list[first + lane]; }, count - first < LANES ? count - first : LANES, d, w);
+        look(own + first, room, [&](int lane) { return list[first + lane < count ? first + lane : first]; }, d, w);
         const V share = d < none ? one + d * (1.0f / BEHIND) : one;
         hidden = ((w > none) & (share <= none)) ? one : hidden;
         const V say = share > none ? w * share : none;
@@ -66,24 +68,24 @@ _VALUE_IN_CPP = """
 @cache
 def depth_value(depth_type: type, *, weighted: bool) -> tuple[Any, Any]:
     """Return the Warp function of an ``Oracle`` for depth of a type, uint16 or float32, and the struct it takes."""
-    declared = f"constexpr bool WEIGHTED = {str(weighted).lower()};\n"
-    declared += f"constexpr float NONE = {NOT_KNOWN}f, BEHIND = {BEHIND}f;\n"
+    constants = f"constexpr float NONE = {NOT_KNOWN}f, BEHIND = {BEHIND}f;\n"
 
-    @wp.func_native(declared + LOOK_IN_CPP + _VALUE_IN_CPP)
+    @wp.func_native(declared(depth_type, weighted=weighted) + constants + LOOK_IN_CPP + _VALUE_IN_CPP)
     def average_distance(
         x: float,
         y: float,
         z: float,
         row: int,
+        slot: int,
         depth: wp.array3d(dtype=depth_type),
         pixel_weights: wp.array3d(dtype=float),
         depth_scale: float,
         intrinsics: wp.vec4,
-        pixel_from_lattice: wp.array(dtype=wp.mat44),
         truncation: float,
         voxel_size: float,
         chosen: wp.array2d(dtype=int),
         counts: wp.array(dtype=int),
+        columns: wp.array3d(dtype=float),
     ) -> float:
         """Return the average in voxels, NOT_KNOWN where no frame says anything."""
 
@@ -91,12 +93,14 @@ def depth_value(depth_type: type, *, weighted: bool) -> tuple[Any, Any]:
 
     @wp.struct
     class DepthState:
-        """The frames, and for each part of ``blocks`` (4 · blocks,) those ``chosen`` and their ``counts``."""
+        """The frames, and a ``Choice`` of them for the parts of ``blocks``."""
 
         views: all_views
         blocks: wp.array(dtype=wp.vec3i)
         chosen: wp.array2d(dtype=int)
         counts: wp.array(dtype=int)
+        slots: wp.array(dtype=int)
+        columns: wp.array3d(dtype=float)
 
     @wp.func
     def value(state: DepthState, number: int, point: wp.vec3) -> float:
@@ -104,30 +108,45 @@ def depth_value(depth_type: type, *, weighted: bool) -> tuple[Any, Any]:
         block = state.blocks[number]
         y = wp.clamp(int(wp.floor(point[1])) - 8 * block[1], 0, 7)
         z = wp.clamp(int(wp.floor(point[2])) - 8 * block[2], 0, 7)
+        row = _PARTS * number + (y >> 2) + 2 * (z >> 2)
+        slot = state.slots[row]
+        if slot < 0:
+            return NOT_KNOWN
         return average_distance(
             point[0],
             point[1],
             point[2],
-            _PARTS * number + (y >> 2) + 2 * (z >> 2),
+            row,
+            slot,
             state.views.depth,
             state.views.pixel_weights,
             state.views.depth_scale,
             state.views.intrinsics,
-            state.views.pixel_from_lattice,
             state.views.truncation,
             state.views.voxel_size,
             state.chosen,
             state.counts,
+            state.columns,
         )
 
     return value, DepthState
 
 
 @wp.kernel
-def _keep_centers(poses: wp.array(dtype=wp.mat44), voxel_size: float, centers: wp.array(dtype=wp.vec3)) -> None:
+def _keep_cameras(
+    first: int,
+    poses: wp.array(dtype=wp.mat44),
+    pixel_from_lattice: wp.array(dtype=wp.mat44),
+    voxel_size: float,
+    projections: wp.array2d(dtype=float),
+    centers: wp.array(dtype=wp.vec3),
+) -> None:
     frame = wp.tid()
     pose = poses[frame]
-    centers[frame] = wp.vec3(pose[0, 3], pose[1, 3], pose[2, 3]) / voxel_size
+    centers[first + frame] = wp.vec3(pose[0, 3], pose[1, 3], pose[2, 3]) / voxel_size
+    for row in range(3):
+        for column in range(4):
+            projections[4 * row + column, first + frame] = pixel_from_lattice[frame][row, column]
 
 
 class DepthField:
@@ -161,12 +180,11 @@ class DepthField:
         if weights is not None:
             wp.copy(views.pixel_weights[images], weights)
         matrices = frame_matrices(batch, volume.voxel_size)
-        wp.copy(views.pixel_from_lattice[images], matrices.pixel_from_lattice)
         wp.launch(
-            _keep_centers,
+            _keep_cameras,
             dim=len(batch),
-            inputs=[matrices.world_from_camera, volume.voxel_size],
-            outputs=[views.centers[images]],
+            inputs=[self._count, matrices.world_from_camera, matrices.pixel_from_lattice, volume.voxel_size],
+            outputs=[views.projections, views.centers],
             device=volume.device,
         )
         self._count += len(batch)
@@ -182,7 +200,9 @@ class DepthField:
         state = state_type()
         state.views = self._views
         state.blocks = self.volume.table.blocks
-        state.chosen, state.counts = choose_frames(self.volume, self._views, self.kernel(), most=self.most_frames)
+        choice = choose_frames(self.volume, self._views, self.kernel(), most=self.most_frames)
+        for name in ("chosen", "counts", "slots", "columns"):
+            setattr(state, name, getattr(choice, name))
         return Oracle(value, state_type, state)
 
 
@@ -206,7 +226,7 @@ def _empty_views(volume: Volume, batch: FrameBatch, frames: int, *, weighted: bo
     views.pixel_weights = wp.empty(shape if weighted else (0, 0, 0), dtype=float, device=device)
     views.depth_scale = batch.depth_scale
     views.intrinsics = wp.vec4(camera.fx, camera.fy, camera.cx, camera.cy)
-    views.pixel_from_lattice = wp.empty(frames, dtype=wp.mat44, device=device)
+    views.projections = wp.zeros((12, lanes_for(frames)), dtype=float, device=device)
     views.centers = wp.empty(frames, dtype=wp.vec3, device=device)
     views.truncation = volume.truncation
     views.voxel_size = volume.voxel_size

@@ -32,7 +32,8 @@ class DualGrid:
     By layers and axes, of the faces across an axis from voxels: ``pins`` (2 n, 3) those with a vertex on curve 0 (row
     2·layer) and 1, and ``pin_starts`` (n + 1,) how many such vertices come before; rows of layers without any are not
     set. Where an oracle is asked, ``faces`` (n, 3) those that are crossed beside an active cell, ``ambiguous`` (n, 3)
-    those crossed twice, ``curve_starts`` (n + 1,) how many curves come before.
+    those crossed twice, ``curve_starts`` (n + 1,) how many curves come before, and ``answers`` (64 n,) what it says at
+    the voxels.
     """
 
     cells: Cells
@@ -52,6 +53,7 @@ class DualGrid:
     faces: wp.array2d(dtype=wp.uint64)
     ambiguous: wp.array2d(dtype=wp.uint64)
     curve_starts: wp.array(dtype=int)
+    answers: wp.array(dtype=float)
 
 
 @dataclass(frozen=True, kw_only=True)

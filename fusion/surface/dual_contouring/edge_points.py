@@ -6,8 +6,9 @@ from typing import Any
 import warp as wp
 
 from fusion.devices import Kernel, launch_in_slabs
-from fusion.surface.dual_contouring.dual_grid import Counts, DualGrid
-from fusion.surface.dual_contouring.oracle import Oracle, is_known, next_question
+from fusion.surface.dual_contouring.dual_grid import Counts, DualGrid, place_of
+from fusion.surface.dual_contouring.line_search import line_search
+from fusion.surface.dual_contouring.oracle import Oracle, is_known
 from fusion.surface.dual_contouring.qef import INSET
 from fusion.surface.dual_contouring.rows import ROWS_IN_CPP
 from fusion.surface.layers import NONE, Cells, launch_over_layers, lowest_bit, number_of, step_along, voxel_of
@@ -18,10 +19,8 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 _LOWEST = wp.constant(INSET)
 _HIGHEST = wp.constant(1.0 - INSET)
-TOLERANCE = wp.constant(1.0e-3)
-"""Voxels: a crossing is known as exactly as vertices keep from borders."""
-LEAST_GUESS = wp.constant(0.05)
-MOST_QUESTIONS = wp.constant(14)
+_LEAST_GUESS = wp.constant(0.05)
+"""Voxels."""
 
 
 _CROSS_EDGES_IN_CPP = (
@@ -60,51 +59,63 @@ def _cross_edges(first: int, cells: Cells, voxels: Voxels, along: wp.array(dtype
 
 
 @wp.func
-def guesses(cells: Cells, voxels: Voxels, slot: int, voxel: wp.vec3i, axis: int, voxels_a_truncation: float) -> wp.vec2:
-    """Return how far off the surface may be at both ends of an edge, in voxels: what the volume holds tells."""
-    on = voxel + step_along(axis)
-    a = wp.abs(distance_of(voxels, voxel_of(cells, slot, voxel[0], voxel[1], voxel[2])))
-    b = wp.abs(distance_of(voxels, voxel_of(cells, slot, on[0], on[1], on[2])))
-    return wp.vec2(wp.max(voxels_a_truncation * a, LEAST_GUESS), wp.max(voxels_a_truncation * b, LEAST_GUESS))
+def as_point(voxel: wp.vec3i) -> wp.vec3:
+    """Return a voxel as a point on the lattice."""
+    return wp.vec3(float(voxel[0]), float(voxel[1]), float(voxel[2]))
+
+
+@wp.func
+def off_surface(voxels: Voxels, voxel: int, voxels_a_truncation: float) -> float:
+    """Return how far off the surface a voxel may be, in voxels: what the volume holds tells."""
+    return wp.max(voxels_a_truncation * wp.abs(distance_of(voxels, voxel)), _LEAST_GUESS)
 
 
 @cache
-def _searcher(value: Any, state_type: Any) -> Any:
+def _edge_searcher(value: Any, state_type: Any) -> Any:
     """Return the function that asks an oracle where the surface crosses an edge."""
+    search = line_search(value, state_type)
 
     @wp.func
-    def search(state: state_type, number: int, start: wp.vec3, way: wp.vec3, at_start: float, at_end: float) -> float:
-        """Return the crossing between two voxels of different sign, in voxels from the first."""
-        low = float(0.0)
-        high = float(1.0)
-        at_low = at_start
-        at_high = at_end
-        for step in range(MOST_QUESTIONS):
-            s = next_question(low, high, at_low, at_high, step)
-            answer = value(state, number, start + s * way)
-            if not is_known(answer):
-                return low + (high - low) * at_low / (at_low - at_high)
-            if answer == 0.0:
-                return s
-            if (answer < 0.0) == (at_start < 0.0):
-                low = s
-                at_low = answer
-            else:
-                high = s
-                at_high = answer
-            if high - low < TOLERANCE:
-                return 0.5 * (low + high)
-            if wp.abs(answer) < 0.2 * TOLERANCE:
-                return s
-        return 0.5 * (low + high)
+    def search_edge(
+        state: state_type,
+        grid: DualGrid,
+        voxels: Voxels,
+        voxels_a_truncation: float,
+        layer: int,
+        bit: int,
+        axis: int,
+        corner: wp.vec3i,
+    ) -> float:
+        """Return the crossing on the edge along ``axis`` from a layer's voxel, in voxels from that."""
+        slot = layer >> 3
+        step = step_along(axis)
+        voxel = wp.vec3i(bit & 7, bit >> 3, layer & 7)
+        end = voxel + step
+        place = place_of(grid.cells.upper, slot, end[0], end[1], end[2])
+        a = off_surface(voxels, voxel_of(grid.cells, slot, voxel[0], voxel[1], voxel[2]), voxels_a_truncation)
+        b = off_surface(voxels, voxel_of(grid.cells, slot, end[0], end[1], end[2]), voxels_a_truncation)
+        # What the volume holds is off by about the same factor at both ends: there it crosses zero rather well.
+        guess = a / (a + b)
+        at_start = grid.answers[64 * layer + bit]
+        at_end = grid.answers[64 * place[0] + place[1]]
+        sign = wp.where(((grid.cells.inside[layer] >> wp.uint64(bit)) & wp.uint64(1)) != NONE, -1.0, 1.0)
+        if not is_known(at_start):
+            at_start = sign * a
+        if not is_known(at_end):
+            at_end = -sign * b
+        start = as_point(corner + voxel)
+        found = search(state, number_of(grid.cells, slot), start, as_point(step), 0.0, 1.0, at_start, at_end, guess)
+        if found < 0.0:
+            return guess
+        return found
 
-    return search
+    return search_edge
 
 
 @cache
 def search_kernel(value: Any, state_type: Any) -> Kernel:
     """Return the kernel that asks an oracle where the surface crosses the edges; a thread takes a layer."""
-    search = _searcher(value, state_type)
+    search_edge = _edge_searcher(value, state_type)
 
     @wp.kernel(module="unique", enable_backward=False, module_options={"max_unroll": 1})
     def search_edges(
@@ -117,24 +128,15 @@ def search_kernel(value: Any, state_type: Any) -> Kernel:
         along: wp.array(dtype=float),
     ) -> None:
         layer = wp.tid() + first
-        cells = grid.cells
-        edge = cells.starts[layer][0]
-        if edge == cells.starts[layer + 1][0]:
+        edge = grid.cells.starts[layer][0]
+        if edge == grid.cells.starts[layer + 1][0]:
             return
-        slot = layer >> 3
-        number = number_of(cells, slot)
+        corner = 8 * blocks[number_of(grid.cells, layer >> 3)]
         for axis in range(3):
-            step = step_along(axis)
-            way = wp.vec3(float(step[0]), float(step[1]), float(step[2]))
-            left = cells.edges[layer, axis]
+            left = grid.cells.edges[layer, axis]
             while left != NONE:
                 bit = lowest_bit(left)
-                voxel = wp.vec3i(bit & 7, bit >> 3, layer & 7)
-                corner = 8 * blocks[number] + voxel
-                start = wp.vec3(float(corner[0]), float(corner[1]), float(corner[2]))
-                guess = guesses(cells, voxels, slot, voxel, axis, voxels_a_truncation)
-                sign = wp.where(((cells.inside[layer] >> wp.uint64(bit)) & wp.uint64(1)) != NONE, -1.0, 1.0)
-                found = search(state, number, start, way, sign * guess[0], -sign * guess[1])
+                found = search_edge(state, grid, voxels, voxels_a_truncation, layer, bit, axis, corner)
                 along[edge] = wp.clamp(found, _LOWEST, _HIGHEST)
                 edge += 1
                 left = left & (left - wp.uint64(1))

@@ -23,7 +23,8 @@ from fusion.surface.dual_contouring.faces import (
     pattern_of,
     point_on_edge,
 )
-from fusion.surface.dual_contouring.oracle import Oracle, is_known, next_question
+from fusion.surface.dual_contouring.line_search import line_meets_zero, line_search
+from fusion.surface.dual_contouring.oracle import Oracle, is_known
 from fusion.surface.layers import NONE, lowest_bit, number_of
 from fusion.volume.tsdf_volume import Volume
 
@@ -33,8 +34,6 @@ _FLAT = wp.constant(2.0e-3)
 """Of a voxel: a curve that is so near to m is straight."""
 _SHALLOW = wp.constant(0.02)
 """Below this t the tangents are taken to meet at 2·t, as those of any shallow arc do."""
-_TOLERANCE = wp.constant(1.0e-3)
-_MOST_QUESTIONS = wp.constant(12)
 _BEYOND = wp.constant(1.0)
 """Voxels: so far a curve's apex may lie outside its face."""
 _SHORTEST = wp.constant(1.0e-3)
@@ -58,20 +57,23 @@ def both(point: wp.vec2) -> wp.vec4:
     return wp.vec4(point[0], point[1], point[0], point[1])
 
 
+@wp.func
+def in_face(origin: wp.vec3, axis: int, at: wp.vec2) -> wp.vec3:
+    """Return a point of a face across ``axis`` from ``origin``."""
+    if axis == 0:
+        return origin + wp.vec3(0.0, at[0], at[1])
+    if axis == 1:
+        return origin + wp.vec3(at[0], 0.0, at[1])
+    return origin + wp.vec3(at[0], at[1], 0.0)
+
+
 @cache
 def _asker(value: Any, state_type: Any) -> Any:
     """Return the function that asks an oracle for a point of a face across ``axis`` from ``origin``."""
 
     @wp.func
     def ask(state: state_type, number: int, origin: wp.vec3, axis: int, at: wp.vec2) -> float:
-        point = origin
-        if axis == 0:
-            point += wp.vec3(0.0, at[0], at[1])
-        elif axis == 1:
-            point += wp.vec3(at[0], 0.0, at[1])
-        else:
-            point += wp.vec3(at[0], at[1], 0.0)
-        return value(state, number, point)
+        return value(state, number, in_face(origin, axis, at))
 
     return ask
 
@@ -79,7 +81,7 @@ def _asker(value: Any, state_type: Any) -> Any:
 @cache
 def _searcher(value: Any, state_type: Any) -> Any:
     """Return the function that asks along a line in a face where the sign changes."""
-    ask = _asker(value, state_type)
+    ask, search_line = _asker(value, state_type), line_search(value, state_type)
 
     @wp.func
     def search(
@@ -106,22 +108,10 @@ def _searcher(value: Any, state_type: Any) -> Any:
                 at_high = ask(state, number, origin, axis, start + high * way)
         if not is_known(at_high) or (at_high < 0.0) == (at_start < 0.0):
             return -1.0
-        for step in range(_MOST_QUESTIONS):
-            s = next_question(low, high, at_low, at_high, step)
-            answer = ask(state, number, origin, axis, start + s * way)
-            if not is_known(answer):
-                return -1.0
-            if wp.abs(answer) < 0.2 * _TOLERANCE:
-                return s
-            if (answer < 0.0) == (at_start < 0.0):
-                low = s
-                at_low = answer
-            else:
-                high = s
-                at_high = answer
-            if high - low < _TOLERANCE:
-                return 0.5 * (low + high)
-        return 0.5 * (low + high)
+        origin_there = in_face(origin, axis, start)
+        way_there = in_face(wp.vec3(), axis, way)
+        first = line_meets_zero(low, high, at_low, at_high)
+        return search_line(state, number, origin_there, way_there, low, high, at_low, at_high, first)
 
     return search
 

@@ -47,10 +47,9 @@ def find_grid(volume: Volume, oracle: Oracle | None, *, min_weight: float) -> tu
     # Counted in place of triangles: one of each active cell.
     ones = wp.full(256, 1, dtype=int, device=device)
     cells = find_cells(volume, ones, meshed=None, min_weight=min_weight)
-    if oracle is not None:
-        ask_signs(volume, cells, ones, oracle)
+    answers = None if oracle is None else ask_signs(volume, cells, ones, oracle)
     layers = len(cells.starts) - 1
-    grid = _empty_grid(cells, with_faces=oracle is not None)
+    grid = _empty_grid(cells, answers)
     launch_over_layers(_find_complete, dim=layers, inputs=[], outputs=[grid], device=device)
     array_scan(grid.quad_starts, grid.quad_starts, inclusive=False)
     vertices = _find_vertices(grid, cell_tables(str(device.alias)))
@@ -75,7 +74,7 @@ def _find_vertices(grid: DualGrid, tables: CellTables) -> int:
     return vertices
 
 
-def _empty_grid(cells: Cells, *, with_faces: bool) -> DualGrid:
+def _empty_grid(cells: Cells, answers: wp.array | None) -> DualGrid:
     """Return room for what is found from the cells."""
     device, layers = cells.inside.device, len(cells.inside)
     grid = DualGrid()
@@ -87,8 +86,9 @@ def _empty_grid(cells: Cells, *, with_faces: bool) -> DualGrid:
         setattr(grid, name, wp.zeros(layers + 1, dtype=int, device=device))
     grid.parted = wp.empty((layers, 3), dtype=wp.uint64, device=device)
     grid.pins = wp.empty((2 * layers, 3), dtype=wp.uint64, device=device)
-    rows = layers if with_faces else 0
+    rows = 0 if answers is None else layers
     for name in ("faces", "ambiguous"):
         setattr(grid, name, wp.empty((rows, 3), dtype=wp.uint64, device=device))
     grid.curve_starts = wp.zeros(rows + 1, dtype=int, device=device)
+    grid.answers = wp.empty(0, dtype=float, device=device) if answers is None else answers
     return grid

@@ -9,6 +9,7 @@ divides what it tells by 2², 3², …; so more frames than needed do not crowd 
 Places are asked about with all frames, once; all other questions then cost the same, however many frames there are.
 """
 
+from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
@@ -17,7 +18,8 @@ import warp as wp
 
 from fusion.devices import Kernel, launch_in_slabs
 from fusion.integration.visible_blocks import PARTS
-from fusion.surface.dual_contouring.depth_views import LOOK_IN_CPP, views_type
+from fusion.surface.dual_contouring.depth_views import LOOK_IN_CPP, declared, views_type
+from fusion.surface.dual_contouring.lanes import lanes_for
 from fusion.volume.tsdf_volume import Volume
 from fusion.volume.voxels import Voxels, distance_of, weight_of
 
@@ -58,13 +60,15 @@ def _find_places(first: int, voxels: Voxels, places: wp.array2d(dtype=int)) -> N
 
 
 _SCORE_IN_CPP = """
-    float *told = scores.data + (size_t)at * frames;
+    const int frames = depth.shape[0], stride = projections.shape[1];
+    float *told = scores.data + (size_t)at * stride;
     for (int first = 0; first < frames; first += LANES) {
-        const int count = frames - first < LANES ? frames - first : LANES;
+        const V one = 1.0f;
         V distance, weight;
-        look([&](int lane) { return first + lane; }, count, distance, weight);
-        const V square = distance * distance, one = 1.0f, score = weight / (square > one ? square : one);
-        for (int lane = 0; lane < count; ++lane) told[first + lane] = ((const float *)&score)[lane];
+        auto frame_at = [&](int lane) { return first + lane < frames ? first + lane : first; };
+        look(projections.data + first, stride, frame_at, distance, weight);
+        const V square = distance * distance, score = weight / (square > one ? square : one);
+        for (int lane = 0; lane < LANES; ++lane) told[first + lane] = lanes_of(score)[lane];
     }
 """
 
@@ -72,9 +76,8 @@ _SCORE_IN_CPP = """
 @cache
 def score_kernel(depth_type: type, *, weighted: bool) -> Kernel:
     """Return the kernel that asks all frames about places; a thread takes a place."""
-    declared = f"constexpr bool WEIGHTED = {str(weighted).lower()};\n"
 
-    @wp.func_native(declared + LOOK_IN_CPP + "const int frames = depth.shape[0];" + _SCORE_IN_CPP)
+    @wp.func_native(declared(depth_type, weighted=weighted) + LOOK_IN_CPP + _SCORE_IN_CPP)
     def score_frames(
         x: float,
         y: float,
@@ -83,7 +86,7 @@ def score_kernel(depth_type: type, *, weighted: bool) -> Kernel:
         pixel_weights: wp.array3d(dtype=float),
         depth_scale: float,
         intrinsics: wp.vec4,
-        pixel_from_lattice: wp.array(dtype=wp.mat44),
+        projections: wp.array2d(dtype=float),
         truncation: float,
         voxel_size: float,
         at: int,
@@ -117,7 +120,7 @@ def score_kernel(depth_type: type, *, weighted: bool) -> Kernel:
             views.pixel_weights,
             views.depth_scale,
             views.intrinsics,
-            views.pixel_from_lattice,
+            views.projections,
             views.truncation,
             views.voxel_size,
             at,
@@ -130,8 +133,8 @@ def score_kernel(depth_type: type, *, weighted: bool) -> Kernel:
 # Directions fall into the squares of an octahedron that is folded open. `left` are the frames that tell anything.
 _CHOOSE_IN_CPP = """
     constexpr int SIDE = 16;
-    const int frames = scores.shape[1], most = chosen.shape[1];
-    float *told = scores.data + (size_t)PLACES * at * frames;
+    const int frames = centers.shape[0], stride = scores.shape[1], most = chosen.shape[1], room = columns.shape[2];
+    float *told = scores.data + (size_t)PLACES * at * stride;
     int *left = candidates.data + (size_t)at * frames, *list = chosen.data + (size_t)row * most;
     unsigned char *ways = directions.data + (size_t)at * frames;
     float share[SIDE * SIDE];
@@ -140,7 +143,7 @@ _CHOOSE_IN_CPP = """
     for (int frame = 0; frame < frames; ++frame) {
         bool tells = false;
         for (int place = 0; place < PLACES; ++place)
-            tells |= places.data[PLACES * row + place] >= 0 && told[place * frames + frame] > 0.0f;
+            tells |= places.data[PLACES * row + place] >= 0 && told[place * stride + frame] > 0.0f;
         if (!tells) continue;
         const wp::vec3 to = centers.data[frame];
         float dx = to[0] - x, dy = to[1] - y, dz = to[2] - z;
@@ -162,7 +165,7 @@ _CHOOSE_IN_CPP = """
         more = false;
         for (int place = 0; place < PLACES && found < most; ++place) {
             if (places.data[PLACES * row + place] < 0) continue;
-            const float *here = told + place * frames;
+            const float *here = told + place * stride;
             float best = 0.0f;
             int which = -1;
             for (int i = 0; i < count; ++i) {
@@ -180,6 +183,10 @@ _CHOOSE_IN_CPP = """
         }
     }
     counts.data[row] = found;
+    float *own = columns.data + (size_t)slot * 12 * room;
+    for (int i = 0; i < 12; ++i)
+        for (int column = 0; column < room; ++column)
+            own[i * room + column] = column < found ? projections.data[i * stride + list[column]] : 0.0f;
 """
 
 
@@ -187,18 +194,21 @@ _CHOOSE_IN_CPP = """
 def choose(
     at: int,
     row: int,
+    slot: int,
     x: float,
     y: float,
     z: float,
     places: wp.array2d(dtype=int),
     centers: wp.array(dtype=wp.vec3),
+    projections: wp.array2d(dtype=float),
     scores: wp.array2d(dtype=float),
     candidates: wp.array2d(dtype=int),
     directions: wp.array2d(dtype=wp.uint8),
     chosen: wp.array2d(dtype=int),
     counts: wp.array(dtype=int),
+    columns: wp.array3d(dtype=float),
 ) -> None:
-    """Write the frames chosen for a part, whose middle is (x, y, z) on the lattice."""
+    """Write the frames chosen for a part, whose middle is (x, y, z) on the lattice, and in a slot their projections."""
 
 
 @wp.kernel
@@ -209,11 +219,13 @@ def _choose_frames(
     places: wp.array2d(dtype=int),
     blocks: wp.array(dtype=wp.vec3i),
     centers: wp.array(dtype=wp.vec3),
+    projections: wp.array2d(dtype=float),
     scores: wp.array2d(dtype=float),
     candidates: wp.array2d(dtype=int),
     directions: wp.array2d(dtype=wp.uint8),
     chosen: wp.array2d(dtype=int),
     counts: wp.array(dtype=int),
+    columns: wp.array3d(dtype=float),
 ) -> None:
     at = wp.tid() + first
     row = rows[first_row + at]
@@ -221,22 +233,59 @@ def _choose_frames(
     x = float(8 * block[0]) + 3.5
     y = float(8 * block[1] + 4 * (row & 1)) + 1.5
     z = float(8 * block[2] + 4 * ((row >> 1) & 1)) + 1.5
-    choose(at, row, x, y, z, places, centers, scores, candidates, directions, chosen, counts)
+    choose(
+        at,
+        row,
+        first_row + at,
+        x,
+        y,
+        z,
+        places,
+        centers,
+        projections,
+        scores,
+        candidates,
+        directions,
+        chosen,
+        counts,
+        columns,
+    )
 
 
-def choose_frames(volume: Volume, views: Any, kernel: Kernel, *, most: int) -> tuple[wp.array, wp.array]:
-    """Return the frames to ask about each part of the volume's blocks, at most so many, and their counts.
+@dataclass(frozen=True, kw_only=True)
+class Choice:
+    """Which frames are asked about each part of the volume's blocks.
 
-    The frames (4 · blocks, most) are in no order. ``kernel`` is the ``score_kernel`` for the frames, ``DepthViews``.
+    ``chosen`` (4 · blocks, most) in no order, ``counts`` (4 · blocks,) of them, and ``slots`` (4 · blocks,) in which of
+    ``columns`` (slots, 12, most rounded up to lanes) their ``projections`` are, −1 where no frames are.
     """
-    device, parts, frames = volume.device, PARTS * volume.table.count, views.depth.shape[0]
+
+    chosen: wp.array
+    counts: wp.array
+    slots: wp.array
+    columns: wp.array
+
+
+def choose_frames(volume: Volume, views: Any, kernel: Kernel, *, most: int) -> Choice:
+    """Choose the frames to ask about each part of the volume's blocks, at most so many.
+
+    ``kernel`` is the ``score_kernel`` for the frames, ``DepthViews``.
+    """
+    device, parts = volume.device, PARTS * volume.table.count
+    frames, stride = views.depth.shape[0], views.projections.shape[1]
     places = wp.empty((parts, PLACES), dtype=int, device=device)
-    chosen = wp.empty((parts, most), dtype=int, device=device)
-    counts = wp.zeros(parts, dtype=int, device=device)
     launch_in_slabs(_find_places, dim=parts, inputs=[volume.voxels], outputs=[places], device=device, least_slab=1024)
     rows = np.flatnonzero((places.numpy() >= 0).any(axis=1)).astype(np.int32)
-    at_once = max(1, min(len(rows), _SCORES // (PLACES * frames)))
-    scores = wp.empty((PLACES * at_once, frames), dtype=float, device=device)
+    slots = np.full(parts, -1, np.int32)
+    slots[rows] = np.arange(len(rows))
+    choice = Choice(
+        chosen=wp.empty((parts, most), dtype=int, device=device),
+        counts=wp.zeros(parts, dtype=int, device=device),
+        slots=wp.array(slots, dtype=int, device=device),
+        columns=wp.empty((len(rows), 12, lanes_for(most)), dtype=float, device=device),
+    )
+    at_once = max(1, min(len(rows), _SCORES // (PLACES * stride)))
+    scores = wp.empty((PLACES * at_once, stride), dtype=float, device=device)
     candidates = wp.empty((at_once, frames), dtype=int, device=device)
     directions = wp.empty((at_once, frames), dtype=wp.uint8, device=device)
     rows_there = wp.array(rows, dtype=int, device=device)
@@ -249,9 +298,9 @@ def choose_frames(volume: Volume, views: Any, kernel: Kernel, *, most: int) -> t
         launch_in_slabs(
             _choose_frames,
             dim=some,
-            inputs=[*inputs, views.centers, scores, candidates, directions],
-            outputs=[chosen, counts],
+            inputs=[*inputs, views.centers, views.projections, scores, candidates, directions],
+            outputs=[choice.chosen, choice.counts, choice.columns],
             device=device,
             least_slab=64,
         )
-    return chosen, counts
+    return choice

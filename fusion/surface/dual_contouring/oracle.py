@@ -33,14 +33,3 @@ class Oracle:
 def is_known(value: float) -> bool:
     """Return whether an oracle's value is an answer."""
     return value < _KNOWN_BELOW
-
-
-@wp.func
-def next_question(low: float, high: float, at_low: float, at_high: float, step: int) -> float:
-    """Return where to ask next between two points of different sign: false position, each third time the middle."""
-    middle = 0.5 * (low + high)
-    if step % 3 == 2:
-        return middle
-    between = low + (high - low) * at_low / (at_low - at_high)
-    margin = 0.02 * (high - low)
-    return wp.clamp(between, low + margin, high - margin)

@@ -12,7 +12,7 @@ import warp as wp
 
 from fusion.devices import Kernel, launch_in_slabs
 from fusion.surface.cells import find_crossings
-from fusion.surface.dual_contouring.oracle import Oracle, is_known
+from fusion.surface.dual_contouring.oracle import NOT_KNOWN, Oracle, is_known
 from fusion.surface.layers import NONE, Cells, corners_back, lowest_bit, number_of
 from fusion.volume.tsdf_volume import Volume
 
@@ -41,6 +41,7 @@ def sign_kernel(value: Any, state_type: Any) -> Kernel:
         blocks: wp.array(dtype=wp.vec3i),
         state: state_type,
         asked: wp.array(dtype=wp.uint64),
+        answers: wp.array(dtype=float),
         changes: wp.array(dtype=int),
     ) -> None:
         layer = wp.tid() + first
@@ -58,6 +59,7 @@ def sign_kernel(value: Any, state_type: Any) -> Kernel:
             one = left & (~left + wp.uint64(1))
             point = wp.vec3(float(corner[0] + (bit & 7)), float(corner[1] + (bit >> 3)), float(corner[2] + (layer & 7)))
             answer = value(state, number, point)
+            answers[64 * layer + bit] = answer
             if is_known(answer):
                 inside = inside & ~one
                 if answer < 0.0:
@@ -69,20 +71,25 @@ def sign_kernel(value: Any, state_type: Any) -> Kernel:
     return ask_signs
 
 
-def ask_signs(volume: Volume, cells: Cells, triangle_counts: wp.array, oracle: Oracle) -> None:
-    """Let the oracle say which corners of active cells are inside; unseen voxels stay unseen."""
+def ask_signs(volume: Volume, cells: Cells, triangle_counts: wp.array, oracle: Oracle) -> wp.array:
+    """Let the oracle say which corners of active cells are inside; unseen voxels stay unseen.
+
+    Returns its answers by voxels, a layer's 64 after the other's; NOT_KNOWN also where it was not asked.
+    """
     device, layers = volume.device, len(cells.inside)
     asked = wp.zeros(layers, dtype=wp.uint64, device=device)
+    answers = wp.full(64 * layers, NOT_KNOWN, dtype=float, device=device)
     changes = wp.empty(layers, dtype=int, device=device)
     for _ in range(MOST_ROUNDS):
         launch_in_slabs(
             sign_kernel(oracle.value, oracle.state_type),
             dim=layers,
             inputs=[cells, volume.table.blocks, oracle.state],
-            outputs=[asked, changes],
+            outputs=[asked, answers, changes],
             device=device,
             least_slab=64,
         )
         if not changes.numpy().any():
-            return
+            break
         find_crossings(cells, triangle_counts)
+    return answers
