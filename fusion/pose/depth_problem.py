@@ -29,6 +29,9 @@ _MODEL_NOISE_VOXELS = 0.12
 _INLIER_VOXELS = 1.5
 """A point is an inlier within this much of the surface, or within 3.5 standard deviations where that is more: no fused
 surface is to be trusted to less than a voxel everywhere."""
+SETTLED_FLOORS, _SURE_FLOORS, _ENOUGH_FLOORS = 0.3, 0.1, 0.05
+"""Of that deviation, the length of a step after which a pose has settled; up to which a step is taken though the cost
+rises, which is no smoother between the field's cells; and of one that is the last, since what is left is less still."""
 _EDGE_SHARE, _CUT_FROM = 0.02, 0.01
 """Of the image's size, how wide its edge is, and of the points, how many there are too many for an object in sight."""
 
@@ -73,7 +76,8 @@ class DepthProblem:
             pivot_world=self.pivot_world,
             radius_m=self.radius,
             iterations=iterations,
-            enough_m=1e-3 * self.floor,
+            enough_m=_ENOUGH_FLOORS * self.floor,
+            sure_m=_SURE_FLOORS * self.floor,
         )
 
     def spread(self, poses: NDArray[np.float64], *, count: int) -> NDArray[np.float64]:

@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 
 from datagen.rigid import Matrix, rigid
-from fusion.pose.depth_problem import DepthProblem, depth_problem
+from fusion.pose.depth_problem import SETTLED_FLOORS, DepthProblem, depth_problem
 from fusion.pose.depth_search import better, fine, from_many, from_one
 from fusion.pose.levenberg_marquardt import Descent
 from fusion.pose.pose_model import PoseModel
@@ -119,7 +119,7 @@ def _result(problem: DepthProblem, found: Descent, start: Matrix) -> Refinement:
         return declined("depth", start, "none of the query's points comes near the model", used=problem.cloud.count)
     # The mean square of weighed residuals, which Tukey's kernel makes smaller: 0.95 of it at the noise's own scale.
     sigma = float(np.sqrt(normals.squares[0] / normals.weight[0]))
-    settled = float(found.last_steps_m[0]) < 0.05 * problem.floor
+    settled = float(found.last_steps_m[0]) < SETTLED_FLOORS * problem.floor
     return Refinement(
         stage="depth",
         world_from_camera=found.poses[0],

@@ -33,11 +33,13 @@ def descend(
     iterations: int,
     enough_m: float,
     rough_m: float = 0.0,
+    sure_m: float = 0.0,
 ) -> Descent:
     """Move poses (n, 4, 4) downhill until no point within ``radius_m`` of the pivot moves by ``enough_m`` any more.
 
     A pose whose step makes its cost greater stays, and is damped more. Where the cost is not smooth to less than
-    ``rough_m``, a step no longer than that which does not lead downhill is the last, too.
+    ``rough_m``, a step no longer than that which does not lead downhill is the last, too; one shorter than ``sure_m``
+    is taken for what it is, since the slope knows better than such a cost where the minimum is.
     """
     normals = equations(poses)
     damping = np.full(len(poses), _FIRST_DAMPING)
@@ -51,6 +53,7 @@ def descend(
         found = equations(candidates)
         better = found.cost <= normals.cost
         lengths = np.maximum(np.linalg.norm(twists[:, :3], axis=1), radius_m * np.linalg.norm(twists[:, 3:], axis=1))
+        better |= lengths < sure_m
         damping = np.clip(np.where(better, damping / 5, damping * 8), _LEAST_DAMPING, _MOST_DAMPING)
         poses = np.where(better[:, None, None], candidates, poses)
         normals = _choose(better, found, normals)
