@@ -1,6 +1,8 @@
 """A reconstruction of a coloured sphere, written by independent tools, and a fresh Blender scene for each test."""
 
+import fcntl
 import json
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +12,7 @@ import bpy
 import numpy as np
 import pytest
 import trimesh
+from scanned_project import Project, make_project, open_copy
 
 import blender_addon
 from datagen.camera import PinholeCamera
@@ -123,3 +126,24 @@ def _photograph(world_from_camera: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     color = np.full((*hit.shape, 3), BACKGROUND_SRGB, dtype=np.uint8)
     color[hit] = _color((origin + depth[..., None] * rays)[hit])
     return color, depth
+
+
+@pytest.fixture(scope="session")
+def made_project(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A scanned and fused scene, made once for all of the processes that test."""
+    base = tmp_path_factory.getbasetemp()
+    place = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "scanned-project"
+    place.mkdir(exist_ok=True)
+    with (place.with_suffix(".lock")).open("wb") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not (place / "seen.json").is_file():
+            blender_addon.register()
+            make_project(place)
+            blender_addon.unregister()
+    return place
+
+
+@pytest.fixture
+def project(made_project: Path, extension: None, tmp_path: Path) -> Project:
+    """A copy of the scanned and fused scene, open in Blender."""
+    return open_copy(made_project, tmp_path / "project")

@@ -3,24 +3,46 @@
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import bpy
 import cv2
 import numpy as np
 import pytest
 
+from blender_addon.__main__ import main
+
 REPOSITORY = Path(__file__).parents[2]
 
 
-def _run(*arguments: object) -> subprocess.CompletedProcess[str]:
+def _in_a_process(*arguments: object) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "blender_addon", *map(str, arguments)]
     return subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=False, timeout=120)
 
 
+Run: TypeAlias = Callable[..., subprocess.CompletedProcess[str]]
+
+
+@pytest.fixture
+def run(empty_scene: bpy.types.Scene, capfd: pytest.CaptureFixture[str]) -> Run:
+    """The command line within this process, which has loaded Blender already."""
+
+    def call(*arguments: object) -> subprocess.CompletedProcess[str]:
+        capfd.readouterr()
+        try:
+            code = main(list(map(str, arguments)))
+        except SystemExit as end:  # argparse's
+            code = int(end.code or 0)
+        said = capfd.readouterr()
+        return subprocess.CompletedProcess(arguments, code, said.out, said.err)
+
+    return call
+
+
 def test_a_reconstruction_is_presented(empty_scene: bpy.types.Scene, sphere_scan: Any) -> None:
-    result = _run(sphere_scan.folder, "--size", "320x180", "--samples", "8")
+    result = _in_a_process(sphere_scan.folder, "--size", "320x180", "--samples", "8")
     assert result.returncode == 0, result.stderr
     files = [sphere_scan.folder / name for name in ("result.blend", "preview.png", "comparison.png")]
     assert result.stdout.split() == [str(file) for file in files]
@@ -80,21 +102,23 @@ def _check_comparison(comparison: Path, scan: Any) -> None:
         assert np.abs(left - moved)[inside].mean() > 1.5 * aligned
 
 
-def test_without_its_dataset_a_reconstruction_is_presented_without_comparison(sphere_scan: Any, tmp_path: Path) -> None:
+def test_without_its_dataset_a_reconstruction_is_presented_without_comparison(
+    sphere_scan: Any, tmp_path: Path, run: Run
+) -> None:
     sphere_scan.dataset.rename(tmp_path / "elsewhere")
     outputs = ["--output", tmp_path / "new" / "a.blend", "--preview", tmp_path / "new" / "b.png"]
-    result = _run(sphere_scan.folder, *outputs, "--size", "64x48", "--samples", "1")
+    result = run(sphere_scan.folder, *outputs, "--size", "64x48", "--samples", "1")
     assert result.returncode == 0, result.stderr
     assert "note: no comparison with the scan: " in result.stderr
     assert sorted(path.name for path in (tmp_path / "new").iterdir()) == ["a.blend", "b.png"]
-    result = _run(sphere_scan.folder, "--comparison", tmp_path / "c.png")
+    result = run(sphere_scan.folder, "--comparison", tmp_path / "c.png")
     _check_refused(result, "dataset: no such folder")
 
 
 def test_a_folder_of_any_name_is_presented(sphere_scan: Any) -> None:
     folder = sphere_scan.folder.with_name("é {x} ## %d 'q'")
     sphere_scan.folder.rename(folder)
-    result = _run(folder, "--size", "64x48", "--samples", "1")
+    result = _in_a_process(folder, "--size", "64x48", "--samples", "1")
     assert result.returncode == 0, result.stderr
     assert result.stdout.splitlines() == [
         str(folder / name) for name in ("result.blend", "preview.png", "comparison.png")
@@ -102,27 +126,27 @@ def test_a_folder_of_any_name_is_presented(sphere_scan: Any) -> None:
     assert cv2.imdecode(np.fromfile(folder / "preview.png", np.uint8), cv2.IMREAD_COLOR).shape == (48, 64, 3)
 
 
-def test_bad_input_is_refused_in_one_line_with_nothing_written(sphere_scan: Any) -> None:
+def test_bad_input_is_refused_in_one_line_with_nothing_written(sphere_scan: Any, run: Run) -> None:
     (sphere_scan.folder / "mesh.ply").write_bytes(b"")
     before = sorted(sphere_scan.folder.iterdir())
-    _check_refused(_run(sphere_scan.folder), "mesh.ply: not a whole PLY file")
+    _check_refused(run(sphere_scan.folder), "mesh.ply: not a whole PLY file")
     assert sorted(sphere_scan.folder.iterdir()) == before
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
-def test_a_folder_that_cannot_be_written_to_is_refused(sphere_scan: Any) -> None:
+def test_a_folder_that_cannot_be_written_to_is_refused(sphere_scan: Any, run: Run) -> None:
     sphere_scan.folder.chmod(0o555)
-    _check_refused(_run(sphere_scan.folder), "result.blend: cannot be written")
+    _check_refused(run(sphere_scan.folder), "result.blend: cannot be written")
 
 
-def test_an_output_below_a_file_is_refused(sphere_scan: Any) -> None:
-    result = _run(sphere_scan.folder, "--output", sphere_scan.folder / "mesh.ply" / "result.blend")
+def test_an_output_below_a_file_is_refused(sphere_scan: Any, run: Run) -> None:
+    result = run(sphere_scan.folder, "--output", sphere_scan.folder / "mesh.ply" / "result.blend")
     _check_refused(result, "result.blend: cannot be written")
 
 
 @pytest.mark.parametrize("arguments", [("--size", "3x3"), ("--size", "big"), ("--samples", "0")])
-def test_options_out_of_range_are_refused(tmp_path: Path, arguments: tuple[str, str]) -> None:
-    result = _run(tmp_path, *arguments)
+def test_options_out_of_range_are_refused(tmp_path: Path, arguments: tuple[str, str], run: Run) -> None:
+    result = run(tmp_path, *arguments)
     assert result.returncode == 2
     assert f"argument {arguments[0]}: '{arguments[1]}': expected" in result.stderr
 
