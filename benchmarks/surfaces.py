@@ -4,6 +4,7 @@
     python benchmarks/surfaces.py topology --solids 300
     python benchmarks/surfaces.py edges table time
     python benchmarks/surfaces.py scenes --datasets suzanne bunny table --every 10
+    python benchmarks/surfaces.py vertices --datasets table --every 10 --voxel-sizes 0.010 0.014 0.020
 
 *topology*: random solids in closed form, each meshed by the volume alone and by the solid as an oracle: how many are
 closed and manifold, and how many pairs of triangles meet (exactly, CGAL through libigl). *edges*: a cube, an L and a
@@ -11,6 +12,8 @@ solid of parts, seen by 60 exact depth images; the mean distance from the true s
 of a true edge, and beyond two voxels. *order*: how vertices converge on a smooth field. *table*: the scene of
 ``accuracy.py`` over voxel sizes, for the vertices that an error takes. *time*: CPU and wall seconds of meshing it.
 *scenes*: recordings with a true mesh (``scene_surfaces.py``), for their topology, errors, vertices and time.
+*vertices*: how many vertices an error takes on such recordings, on coarser voxels or decimated
+(``vertices_for_errors.py``).
 """
 
 import argparse
@@ -29,9 +32,11 @@ sys.path.append(str(_HERE))
 
 import accuracy
 import scene_surfaces
+import vertices_for_errors
 from analytic_oracle import SolidState, ball, cube, l_shape, random_solid, solid_value
 from mesh_topology import is_closed, is_manifold, self_intersections
 
+from datagen.open_dataset import open_dataset
 from fusion.devices import launch_in_slabs, resolve_device
 from fusion.evaluation.evaluate import sample_surface
 from fusion.frames.frame_batch import FrameUploader
@@ -253,6 +258,11 @@ def measure_scenes(device, options):
     scene_surfaces.measure_scenes(device, options, print_row)
 
 
+def measure_vertices(device, options):
+    datasets = [open_dataset(folder) for folder in options.datasets]
+    vertices_for_errors.measure_vertices(device, options, datasets, print_row)
+
+
 def print_row(*cells):
     print("| " + " | ".join(cells) + " |", flush=True)
 
@@ -264,6 +274,7 @@ MEASURES = {
     "table": measure_table,
     "time": measure_time,
     "scenes": measure_scenes,
+    "vertices": measure_vertices,
 }
 
 

@@ -102,6 +102,8 @@ def smooth(mesh: Mesh, iterations: int) -> Mesh:
 def decimate(mesh: Mesh, triangles: int, *, device: Device) -> Mesh:
     """Collapse edges by quadric error (Garland and Heckbert 1997) until about ``triangles`` are left.
 
+    Edges of no length go first: marching cubes makes them where the surface passes through voxels, and the triangles
+    there, without a normal, would keep all that are around.
     Colours are those of the closest points of the mesh before; normals are made anew. Raises InputError where the
     number is not between 4 and the mesh's own.
     """
@@ -110,7 +112,10 @@ def decimate(mesh: Mesh, triangles: int, *, device: Device) -> Mesh:
             f"cannot decimate {len(mesh.triangles):,} triangles to {triangles:,}; expected 4 to as many as there are"
         )
     centre = mesh.vertices.astype(np.float64).mean(axis=0)
-    points, faces = fast_simplification.simplify(mesh.vertices - centre, mesh.triangles, target_count=triangles)
+    points, faces = _without_edges_of_no_length(mesh)
+    points = points - centre
+    if triangles < len(faces):
+        points, faces = fast_simplification.simplify(points, faces, target_count=triangles)
     vertices = (points + centre).astype(np.float32)
     fewer = Mesh(vertices=vertices, triangles=np.asarray(faces, np.int32))
     return Mesh(
@@ -121,12 +126,28 @@ def decimate(mesh: Mesh, triangles: int, *, device: Device) -> Mesh:
     )
 
 
+def _without_edges_of_no_length(mesh: Mesh) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    """Return the vertices and triangles of a mesh whose edges without length are collapsed."""
+    edges = mesh.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    edges = edges[(mesh.vertices[edges[:, 0]] == mesh.vertices[edges[:, 1]]).all(axis=1)]
+    if len(edges) == 0:
+        return mesh.vertices, mesh.triangles
+    count = len(mesh.vertices)
+    graph = sparse.coo_array((np.ones(len(edges), bool), (edges[:, 0], edges[:, 1])), shape=(count, count))
+    _, places = sparse.csgraph.connected_components(graph, directed=False)
+    corners = places[mesh.triangles]
+    distinct = (corners != np.roll(corners, 1, axis=1)).all(axis=1)
+    _, first = np.unique(places, return_index=True)
+    return mesh.vertices[first], corners[distinct].astype(np.int32)
+
+
 def _colors_at(mesh: Mesh, points: NDArray[np.float64], *, device: Device) -> NDArray[np.uint8]:
     """Return the colours (n, 3) that ``mesh`` has closest to ``points`` (n, 3)."""
     assert mesh.colors is not None
     corners = mesh.triangles[closest_points(mesh, points, device=device).triangles]
     places = mesh.vertices.astype(np.float64)[corners]
-    weights = trimesh.triangles.points_to_barycentric(places, points)
+    with np.errstate(divide="ignore", invalid="ignore"):  # in a triangle without area
+        weights = trimesh.triangles.points_to_barycentric(places, points)
     # The closest point is inside its triangle; a vertex off the surface projects to somewhere near it.
     weights = np.clip(np.nan_to_num(weights, nan=1 / 3), 0, 1)
     weights /= weights.sum(axis=1, keepdims=True)

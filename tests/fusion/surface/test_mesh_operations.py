@@ -1,9 +1,11 @@
 import numpy as np
 import pytest
 import trimesh
+from dense_volume import lattice, volume_of
 
 from datagen.errors import InputError
 from fusion.devices import resolve_device
+from fusion.surface.marching_cubes import marching_cubes
 from fusion.surface.mesh import Mesh
 from fusion.surface.mesh_operations import decimate, holes, largest_component, smooth, without_small_components
 
@@ -112,6 +114,18 @@ def test_decimation_reaches_its_target_near_the_surface_with_the_colours_of_the_
     np.testing.assert_allclose(np.linalg.norm(away, axis=1), 2, atol=0.01)
     expected = away / np.linalg.norm(away, axis=1, keepdims=True) * 100 + 128
     assert np.abs(result.colors - expected).max() < 2
+
+
+def test_a_surface_through_voxels_is_decimated_like_any_other():
+    # An octahedron: marching cubes meets voxels everywhere, and has triangles without area there.
+    distance = np.abs(lattice(32) - 16).sum(axis=-1) - 12
+    mesh = marching_cubes(volume_of(distance / 40, CPU, color=8 * lattice(32)))
+    corners = mesh.vertices[mesh.triangles]
+    assert (corners == np.roll(corners, 1, axis=1)).all(axis=2).any(axis=1).sum() > 100
+    result = decimate(mesh, len(mesh.triangles) // 10, device=CPU)
+    assert len(result.triangles) <= 1.1 * len(mesh.triangles) / 10
+    np.testing.assert_allclose(np.abs(result.vertices - 16).sum(axis=1), 12, atol=0.5)  # half a voxel
+    np.testing.assert_allclose(result.colors, 8 * result.vertices, atol=8 * 0.5)
 
 
 @pytest.mark.parametrize("target", [3, 0, 10**6])
