@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.camera import PinholeCamera
-from datagen.rigid import Matrix, transform_points
+from datagen.rigid import Matrix, inverse, transform_points
 from fusion.pose.levenberg_marquardt import Descent, descend
 from fusion.pose.normal_equations import (
     GEMAN_MCCLURE,
@@ -21,6 +21,7 @@ from fusion.pose.normal_equations import (
 )
 from fusion.pose.pose_model import PoseModel
 from fusion.pose.query import Query, QueryCloud
+from fusion.pose.se3 import log_so3
 from fusion.pose.view_overlap import QueryView, agreement, overlap, query_view
 
 MIDDLE_POINTS = 2000
@@ -115,6 +116,12 @@ class DepthProblem:
         )
         agreed = self.agreements(poses, within=2 * self.tolerance, most=4 * count)
         return np.sqrt(np.maximum(1 - 2 * normals.cost, 0) * agreed)
+
+    def distances(self, poses: NDArray[np.float64], other: Matrix) -> NDArray[np.float64]:
+        """Return how far (n,), metres, points of what is seen are moved from where another pose has them, at most."""
+        moved = poses @ inverse(other)
+        shifts = np.linalg.norm(moved[:, :3, :3] @ self.pivot_world + moved[:, :3, 3] - self.pivot_world, axis=1)
+        return shifts + self.radius * np.linalg.norm(log_so3(moved[:, :3, :3]), axis=1)
 
     def explained(self, found: Descent) -> float:
         """Return how much of the view a descent of one pose explains: of points and of the surface, the lesser share.

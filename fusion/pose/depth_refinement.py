@@ -6,11 +6,12 @@ about the given one, and judged both ways: the query's points in the model's fie
 query.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from datagen.rigid import Matrix, rigid
 from fusion.pose.depth_problem import SETTLED_FLOORS, DepthProblem, depth_problem
@@ -21,16 +22,15 @@ from fusion.pose.query import Query, query_cloud
 from fusion.pose.reference_frame import ReferenceFrame
 from fusion.pose.reference_shift import nearest_reference, reference_shift, without_shift
 from fusion.pose.refinement import Refinement, declined
-from fusion.pose.starting_poses import starts_about, starts_all_about
+from fusion.pose.starting_poses import shifted_to_six_sides, starts_about, starts_all_about
 from fusion.pose.uncertainty import uncertainty
 
 Starts = Literal["auto", "one", "many", "here"]
 
 FEWEST_POINTS = 60
-_ABOUT = (starts_about, starts_all_about)
 _ENOUGH, _ENOUGH_OF_A_SCENE = 0.65, 0.9
-"""Share of the view that has to be explained for no other start to be tried. Of a part of a scene, with nothing known
-but the start, it is more: a pose that slid along a floor explains much of it, too."""
+"""Share of the view that has to be explained for no other start to be tried. Of a part of a scene it is more: a pose
+that slid along a floor explains much of it, too."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,17 +99,30 @@ def _searched(
     best = None if options.starts == "many" else from_one(problem, start, elsewhere)
     if best is not None and options.starts == "one":
         return best
-    # What a search all over the model has not found is not found by one all about the start.
-    searches = _ABOUT if others is None else _ABOUT[:1]
-    enough = _ENOUGH_OF_A_SCENE if others is None and problem.is_cut else _ENOUGH
-    for more in searches:
+    enough = _ENOUGH_OF_A_SCENE if problem.is_cut else _ENOUGH
+    for poses in _more_starts(problem, start, everywhere=others is None):
         if best is not None and problem.explained(best) > enough:
             break
-        found = from_many(problem, more(problem.model, start, None if problem.is_cut else problem.cloud.points_camera))
+        found = from_many(problem, poses, best)
         spent = found.iterations + (0 if best is None else best.iterations)
         best = replace(found if best is None else better(problem, best, found), iterations=spent)
     assert best is not None
     return best
+
+
+def _more_starts(problem: DepthProblem, start: Matrix, *, everywhere: bool) -> Iterator[NDArray[np.float64]]:
+    """Yield poses (n, 4, 4) to start from, each time more of them; all about the start only where ``everywhere``.
+
+    What a search all over the model has not found is not there; but in a scene a pose may have slid along what fills
+    the image.
+    """
+    if problem.is_cut and not everywhere:
+        yield shifted_to_six_sides(start[None])
+        return
+    points = None if problem.is_cut else problem.cloud.points_camera
+    yield starts_about(problem.model, start, points)
+    if everywhere:
+        yield starts_all_about(problem.model, start, points)
 
 
 def _result(problem: DepthProblem, found: Descent, start: Matrix) -> Refinement:

@@ -23,8 +23,8 @@ _COARSE_POINTS = 500
 _COARSE_ROUNDS, _COARSE_STEPS, _MIDDLE_STEPS, _FINE_STEPS = 4, 4, 6, 12
 _MANY_POINTS, _KEPT = 300, 4
 _FEW_POINTS, _FEW_ROUNDS, _KEPT_OF_HUNDREDS = 100, 3, 24
-_HUNDREDS = 60
-"""Starts, from which on they first descend with fewer points."""
+_HUNDREDS, _TENS = 60, 10
+"""Starts, from which on they first descend with fewer points; and up to which the best of few points is taken."""
 
 
 def from_one(problem: DepthProblem, start: Matrix, others: NDArray[np.float64]) -> Descent:
@@ -73,15 +73,18 @@ def fine(problem: DepthProblem, poses: NDArray[np.float64]) -> Descent:
     return replace(found, iterations=spent)
 
 
-def from_many(problem: DepthProblem, poses: NDArray[np.float64]) -> Descent:
-    """Descend from many starts (n, 4, 4) with few points, from the best of them with more, and from the best of all."""
+def from_many(problem: DepthProblem, poses: NDArray[np.float64], known: Descent | None = None) -> Descent:
+    """Descend from many starts (n, 4, 4) with few points, from the best of them with more, and from the best of all.
+
+    Where that comes to the ``known`` pose, as near as agrees with what is seen, that is returned as it is.
+    """
     spent = 0
     if len(poses) > _HUNDREDS:
         poses, spent = coarse(problem, poses, count=_FEW_POINTS, rounds=_FEW_ROUNDS)
         poses = _best(problem, poses, _KEPT_OF_HUNDREDS, asked=_MANY_POINTS)
     poses, more = coarse(problem, poses, count=_MANY_POINTS)
     spent += more
-    for count in (_KEPT, 1):
+    for count in (1,) if len(poses) < _TENS else (_KEPT, 1):
         poses = _best(problem, poses, count)
         found = problem.descend(
             poses,
@@ -91,6 +94,8 @@ def from_many(problem: DepthProblem, poses: NDArray[np.float64]) -> Descent:
             iterations=_MIDDLE_STEPS,
         )
         poses, spent = found.poses, spent + found.iterations
+    if known is not None and problem.distances(poses, known.poses[0])[0] < problem.tolerance:
+        return replace(known, iterations=spent)
     best = fine(problem, poses)
     return replace(best, iterations=spent + best.iterations)
 

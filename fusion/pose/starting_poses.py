@@ -48,10 +48,14 @@ def starts_all_about(model: PoseModel, start: Matrix, points_camera: NDArray[np.
     if points_camera is not None:
         shifted = shifted_onto_depth(model, start[None], points_camera)[0]
         return shifted_onto_depth(model, perturb(turns, shifted, pivot_world=model.centre_world), points_camera)
-    turned = perturb(turns, start, pivot_world=model.centre_world)
-    poses = np.repeat(turned[:, None], 7, axis=1)
-    poses[:, 1:, :3, 3] += ALL_SHIFTS * np.concatenate([np.eye(3), -np.eye(3)])
-    return poses.reshape(-1, 4, 4)
+    return shifted_to_six_sides(perturb(turns, start, pivot_world=model.centre_world))
+
+
+def shifted_to_six_sides(poses: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return each of the poses (n, 4, 4) as it is and shifted along the world's axes, both ways (7 n, 4, 4)."""
+    shifted = np.repeat(poses[:, None], 7, axis=1)
+    shifted[:, 1:, :3, 3] += ALL_SHIFTS * np.concatenate([np.eye(3), -np.eye(3)])
+    return shifted.reshape(-1, 4, 4)
 
 
 def turns_within(most_deg: float, *, apart_deg: float) -> NDArray[np.float64]:
