@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from fusion.evaluation.sharp_edges import seen_sharp_edges, sharp_edge_error, smooth_error
 from fusion.report.close_up import close_up
-from fusion.report.mesher_findings import Outcome, Outcomes, findings
+from fusion.report.mesher_findings import DECIMATED_TO, Outcome, Outcomes, findings
 from fusion.report.panels import (
     Figure,
     Numbers,
@@ -22,6 +22,8 @@ from fusion.report.panels import (
 from fusion.report.runs import Run, drop_volume, mesh_run, meshed
 from fusion.report.subject import Subject
 from fusion.report.thin_triangles import THIN_DEG, thin_share
+from fusion.surface.mesh import Mesh
+from fusion.surface.mesh_operations import decimate
 
 SMOOTH_VOXELS = 2.0
 """From a sharp edge; what is farther counts as smooth."""
@@ -110,8 +112,17 @@ def _outcomes(subject: Subject) -> Iterator[tuple[str, Outcome]]:
                 sharp=sharp_edge_error(run.mesh, edges, device=subject.device),
                 smooth=smooth_error(run.mesh, truth, beyond=SMOOTH_VOXELS * subject.voxel_size, device=subject.device),
                 thin=thin_share(run.mesh),
+                decimated=_decimated_error(subject, run.mesh),
             ),
         )
+
+
+def _decimated_error(subject: Subject, mesh: Mesh) -> float:
+    """Return the chamfer distance, metres, of a mesh decimated to ``DECIMATED_TO`` of its triangles."""
+    shape = Mesh(vertices=mesh.vertices, triangles=mesh.triangles)  # colours take longer than all else
+    metrics = subject.judge(decimate(shape, round(DECIMATED_TO * len(mesh.triangles)), device=subject.device))
+    assert metrics is not None
+    return float(metrics["chamfer_m"])
 
 
 def _meshed(subject: Subject) -> dict[str, Run]:
@@ -160,4 +171,5 @@ def _errors(outcome: Outcome) -> Numbers:
         for name, error in (("sharp edges", outcome.sharp), ("smooth parts", outcome.smooth))
         if error is not None
     ]
-    return (*errors(outcome.run.record.metrics), *more)
+    decimated = (f"decimated to {100 * DECIMATED_TO:.0f} %", millimetres(outcome.decimated))
+    return (*errors(outcome.run.record.metrics), *more, decimated)

@@ -74,12 +74,16 @@ def run(dataset: Dataset, folder: Path, config: ReconstructionConfig, *, keep_vo
     """
     assert not asks_depth(config), "the depth images are asked by mesh_run"
     kept = (folder / VOLUME_FILE).is_file() or not keep_volume
-    if not (kept and is_current(dataset, folder, config)):
+    current = is_current(dataset, folder, config)
+    if not (kept and current):
+        # Made again for its volume alone, it keeps the time that another figure tells of it.
+        seconds = _read(folder).mesh_seconds if current else None
         (folder / TIMING_FILE).unlink(missing_ok=True)
         volume = reconstruct(dataset, folder, config).volume
-        _, seconds = _least_time(
-            lambda: mesh_volume(volume, config.mesher, min_weight=config.min_weight), volume.device
-        )
+        if seconds is None:
+            _, seconds = _least_time(
+                lambda: mesh_volume(volume, config.mesher, min_weight=config.min_weight), volume.device
+            )
         _write_timing(folder, seconds)
     if not keep_volume:
         drop_volume(folder)

@@ -66,6 +66,14 @@ def test_fewer_polygons_for_the_same_error_are_told_from_fewer_on_the_same_voxel
     assert answer(cubes, alike) == "Lower in polygons? No."
 
 
+def test_what_decimation_leaves_of_the_error_is_told_of_all_three():
+    cubes, volume, depth = (outcome(vertices=4000, chamfer=error) for error in (0.25, 0.2, 0.1))
+    every = Outcomes(cubes=cubes, volume=volume, depth=depth, coarse_cubes=outcome(), coarse_depth=outcome())
+    told = lower_in_polygons(every)[1]
+    assert "25 % of the triangles" in told
+    assert told.index("500 mm (m") < told.index("400 mm (by the v") < told.index("200 mm (by the d")
+
+
 def outcome(*, vertices=1000, chamfer=1.0, seconds=1.0, sharp=None):
     """An outcome of meshing with the numbers of interest."""
     record = SimpleNamespace(
@@ -74,4 +82,10 @@ def outcome(*, vertices=1000, chamfer=1.0, seconds=1.0, sharp=None):
         frames=1,
         seconds=SimpleNamespace(allocate=1.0, integrate=1.0),
     )
-    return Outcome(run=SimpleNamespace(record=record, mesh_seconds=seconds), sharp=sharp, smooth=1.0, thin=0.1)
+    return Outcome(
+        run=SimpleNamespace(record=record, mesh_seconds=seconds),
+        sharp=sharp,
+        smooth=1.0,
+        thin=0.1,
+        decimated=2 * chamfer,
+    )
