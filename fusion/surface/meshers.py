@@ -25,6 +25,7 @@ _DUAL_CONTOURING = (
     "pins",
     "quads",
     "rim_polygons",
+    "rim_vertices",
 )
 KERNEL_MODULES: dict[Mesher, tuple[str, ...]] = {
     "marching-cubes": ("fusion.surface.cells", "fusion.surface.marching_cubes"),

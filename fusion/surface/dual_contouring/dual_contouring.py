@@ -18,7 +18,8 @@ from fusion.surface.dual_contouring.oracle import Oracle
 from fusion.surface.dual_contouring.pins import place_pins
 from fusion.surface.dual_contouring.quad_corners import quad_corners
 from fusion.surface.dual_contouring.quads import cut_quads
-from fusion.surface.dual_contouring.rim_polygons import count_rim_triangles, rim_vertices, write_rim_triangles
+from fusion.surface.dual_contouring.rim_polygons import count_rim_triangles, write_rim_triangles
+from fusion.surface.dual_contouring.rim_vertices import rim_vertices
 from fusion.surface.dual_contouring.signs import sign_kernel
 from fusion.surface.dual_contouring.vertices import Vertices
 from fusion.surface.mesh import Mesh

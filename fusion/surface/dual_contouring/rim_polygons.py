@@ -24,20 +24,13 @@ from fusion.surface.dual_contouring.rim import (
     steps_back,
     vertex_in_cell,
 )
-from fusion.surface.dual_contouring.vertices import Vertices, set_vertex_between
 from fusion.surface.layers import (
     NONE,
     corners_back,
     launch_over_layers,
     lowest_bit,
-    number_of,
     step_along,
-    vertex_number,
-    voxel_of,
 )
-from fusion.volume.tsdf_volume import Volume
-from fusion.volume.voxel_average import average_of, color_along
-from fusion.volume.voxels import Voxels
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
@@ -148,19 +141,16 @@ def write_fans(
                     number = set_triangle(triangles, number, middle, pin, second, flipped)
                 else:
                     number = set_triangle(triangles, number, middle, first, second, flipped)
-            else:
-                last = int(-1)
-                if pins[side] >= 0:
-                    last = first_pin + pins[side]
-                elif before == flipped:
-                    # Of both fans' ends at the curve, one is its fan's first as the surface faces.
+            elif pins[side] >= 0 or before == flipped:
+                # Of both fans' ends at the curve, one is its fan's first as the surface faces.
+                last = first_pin + pins[side]
+                if pins[side] < 0:
                     cell = wp.where(before, side, following)
                     last = first_rim + rim_vertex_across(grid, slot, voxel, axis, cell, side)
-                if last >= 0:
-                    if before:
-                        number = set_triangle(triangles, number, middle, first, last, flipped)
-                    else:
-                        number = set_triangle(triangles, number, middle, last, second, flipped)
+                if before:
+                    number = set_triangle(triangles, number, middle, first, last, flipped)
+                else:
+                    number = set_triangle(triangles, number, middle, last, second, flipped)
     return number
 
 
@@ -225,58 +215,6 @@ def _write_triangles(
             left = left & (left - wp.uint64(1))
 
 
-@wp.kernel
-def _place_vertices(
-    first: int,
-    grid: DualGrid,
-    blocks: wp.array(dtype=wp.vec3i),
-    voxels: Voxels,
-    voxel_size: float,
-    along: wp.array(dtype=float),
-    cell_colors: wp.array(dtype=wp.vec3ub),
-    cell_normals: wp.array(dtype=wp.vec3),
-    points: wp.array(dtype=wp.vec3),
-    colors: wp.array(dtype=wp.vec3ub),
-    normals: wp.array(dtype=wp.vec3),
-) -> None:
-    layer = wp.tid() + first
-    vertex = grid.rim_starts[layer]
-    if vertex == grid.rim_starts[layer + 1]:
-        return
-    slot = layer >> 3
-    corner = 8 * blocks[number_of(grid.cells, slot)]
-    for axis in range(3):
-        step = step_along(axis)
-        left = rim_along(grid, layer, axis)
-        while left != NONE:
-            bit = lowest_bit(left)
-            voxel = wp.vec3i(bit & 7, bit >> 3, layer & 7)
-            share = along[vertex_number(grid.cells, layer, axis, bit)]
-            a = average_of(voxels, voxel_of(grid.cells, slot, voxel[0], voxel[1], voxel[2]))
-            b = average_of(
-                voxels, voxel_of(grid.cells, slot, voxel[0] + step[0], voxel[1] + step[1], voxel[2] + step[2])
-            )
-            at = corner + voxel
-            point = wp.vec3(float(at[0]), float(at[1]), float(at[2]))
-            point[axis] += share
-            around = wp.vec4i()
-            for cell in range(4):
-                around[cell] = vertex_in_cell(grid, slot, voxel, axis, cell)
-            copies = wp.where(((grid.parted[layer, axis] >> wp.uint64(bit)) & wp.uint64(1)) != NONE, 2, 1)
-            for copy in range(copies):
-                of_copy = around
-                if copies == 2:
-                    # Its one cell is 0 or 1, or else 2 or 3.
-                    of_copy[2 - 2 * copy] = -1
-                    of_copy[3 - 2 * copy] = -1
-                set_vertex_between(
-                    vertex, voxel_size * point, of_copy, cell_colors, cell_normals, points, colors, normals
-                )
-                colors[vertex] = color_along(a, b, share)
-                vertex += 1
-            left = left & (left - wp.uint64(1))
-
-
 def count_rim_triangles(grid: DualGrid, rim: int) -> tuple[wp.array, int]:
     """Return how many triangles around rim edges come before each layer (layers,), and how many there are.
 
@@ -303,22 +241,3 @@ def write_rim_triangles(
         device=triangles.device,
         least_slab=256,
     )
-
-
-def rim_vertices(
-    volume: Volume, grid: DualGrid, rim: int, along: wp.array, cells: Vertices, *, normals: bool
-) -> Vertices:
-    """Return the vertices on rim edges, at their 1-D points, with the colours of the voxels there.
-
-    Their normals are those of the ``cells``' vertices around.
-    """
-    vertices = Vertices.empty(rim, volume.device, normals=normals)
-    launch_in_slabs(
-        _place_vertices,
-        dim=len(grid.several) if rim else 0,
-        inputs=[grid, volume.table.blocks, volume.voxels, volume.voxel_size, along, cells.colors, cells.normals],
-        outputs=[vertices.points, vertices.colors, vertices.normals],
-        device=volume.device,
-        least_slab=256,
-    )
-    return vertices
