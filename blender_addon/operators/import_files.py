@@ -7,8 +7,9 @@ from typing import Any
 import bpy
 
 from ..errors import ReconstructionError
+from ..files.dataset_files import METADATA_FILE
 from ..files.ply_mesh import read_colored_mesh
-from ..files.reconstruction_files import MESH_FILE
+from ..files.reconstruction_files import MESH_FILE, RECONSTRUCTION_FILE
 from ..jobs import runner
 from ..jobs.job import Job, Work
 from ..results.import_dataset import import_dataset
@@ -38,6 +39,8 @@ class _FolderOperator:
         subtype="FILE_PATH",
         options={"SKIP_SAVE", "HIDDEN"},
     )
+    # Blender gives what is dropped in this and the folder, and warns where an operator has but one of both.
+    files: bpy.props.CollectionProperty(type=bpy.types.OperatorFileListElement, options={"HIDDEN", "SKIP_SAVE"})
     match_render_size: bpy.props.BoolProperty(
         name="Match Render Size",
         description="Give renders the size and pixel aspect of the scan, so that the cameras show what the scan saw",
@@ -80,17 +83,8 @@ class SCANBACK_OT_import_reconstruction(_FolderOperator, bpy.types.Operator):  #
     remedy = "choose the one that 'fusion reconstruct' wrote"
 
     def bring(self, context: Any, folder: Path) -> set[str]:
-        """Import it, a large one piece by piece."""
-        if _is_large(folder / MESH_FILE) and not bpy.app.background and self.options.is_invoke:
-            runner.start("Import", _import_work(remember(context.scene), folder, self.match_render_size))
-            return {"INTERFACE"}  # no undo step yet: the job makes its own
-        scene = context.scene
-        collection = import_reconstruction(scene, folder, match_render_size=self.match_render_size)
-        if originals_of(scene, folder):
-            show_sides(scene, collection, original=False, reconstruction=True)
-        suit_shading(scene)
-        self.report({"INFO"}, f"Imported {folder.name} into the collection {collection.name}")
-        return {"FINISHED"}
+        """Import it."""
+        return _bring_reconstruction(self, context, folder)
 
 
 class SCANBACK_OT_import_dataset(_FolderOperator, bpy.types.Operator):  # noqa: N801
@@ -103,10 +97,24 @@ class SCANBACK_OT_import_dataset(_FolderOperator, bpy.types.Operator):  # noqa: 
 
     def bring(self, context: Any, folder: Path) -> set[str]:
         """Import its camera."""
-        collection, frames = import_dataset(context.scene, folder, match_render_size=self.match_render_size)
-        count = len(frames.trajectory)
-        self.report({"INFO"}, f"Imported {count} poses of {folder.name} into the collection {collection.name}")
-        return {"FINISHED"}
+        return _bring_dataset(self, context, folder)
+
+
+class SCANBACK_OT_import_dropped(_FolderOperator, bpy.types.Operator):  # noqa: N801
+    """Imports the folder that a dropped file stands for."""
+
+    bl_idname = "scanback.import_dropped"
+    bl_label = "Import Scanback Reconstruction or Dataset"
+    bl_description = "Import what reconstruction.json or dataset.json stands for: the folder that it lies in"
+    remedy = f"name {RECONSTRUCTION_FILE} or {METADATA_FILE}"
+
+    def bring(self, context: Any, folder: Path) -> set[str]:
+        """Import what the file's name says."""
+        name = Path(self.filepath).name
+        ways = {RECONSTRUCTION_FILE: _bring_reconstruction, METADATA_FILE: _bring_dataset}
+        if name not in ways:
+            raise ReconstructionError(f"{name or folder}: neither {' nor '.join(ways)}; drop one of these")
+        return ways[name](self, context, folder)
 
 
 class SCANBACK_OT_import_ply(bpy.types.Operator):  # noqa: N801
@@ -162,22 +170,35 @@ class SCANBACK_FH_ply(_Dropped, bpy.types.FileHandler):  # noqa: N801
     bl_file_extensions = ".ply"
 
 
-class SCANBACK_FH_reconstruction(_Dropped, bpy.types.FileHandler):  # noqa: N801
-    """Takes reconstruction.json, which stands for its folder."""
+class SCANBACK_FH_folder(_Dropped, bpy.types.FileHandler):  # noqa: N801
+    """Takes reconstruction.json and dataset.json, which stand for their folders."""
 
-    bl_idname = "SCANBACK_FH_reconstruction"
-    bl_label = "Scanback Reconstruction (reconstruction.json)"
-    bl_import_operator = SCANBACK_OT_import_reconstruction.bl_idname
+    bl_idname = "SCANBACK_FH_folder"
+    bl_label = "Scanback Reconstruction or Dataset (.json)"
+    bl_import_operator = SCANBACK_OT_import_dropped.bl_idname
     bl_file_extensions = ".json"
 
 
-class SCANBACK_FH_dataset(_Dropped, bpy.types.FileHandler):  # noqa: N801
-    """Takes dataset.json, which stands for its folder."""
+def _bring_reconstruction(operator: Any, context: Any, folder: Path) -> set[str]:
+    """Import a reconstruction, a large one piece by piece."""
+    scene = context.scene
+    if _is_large(folder / MESH_FILE) and not bpy.app.background and operator.options.is_invoke:
+        runner.start("Import", _import_work(remember(scene), folder, operator.match_render_size))
+        return {"INTERFACE"}  # no undo step yet: the job makes its own
+    collection = import_reconstruction(scene, folder, match_render_size=operator.match_render_size)
+    if originals_of(scene, folder):
+        show_sides(scene, collection, original=False, reconstruction=True)
+    suit_shading(scene)
+    operator.report({"INFO"}, f"Imported {folder.name} into the collection {collection.name}")
+    return {"FINISHED"}
 
-    bl_idname = "SCANBACK_FH_dataset"
-    bl_label = "Scanback Dataset (dataset.json)"
-    bl_import_operator = SCANBACK_OT_import_dataset.bl_idname
-    bl_file_extensions = ".json"
+
+def _bring_dataset(operator: Any, context: Any, folder: Path) -> set[str]:
+    """Import a dataset's camera."""
+    collection, frames = import_dataset(context.scene, folder, match_render_size=operator.match_render_size)
+    count = len(frames.trajectory)
+    operator.report({"INFO"}, f"Imported {count} poses of {folder.name} into the collection {collection.name}")
+    return {"FINISHED"}
 
 
 def _import_work(scene: SceneReference, folder: Path, match_render_size: bool) -> Any:
@@ -206,10 +227,10 @@ def _draw_import_entries(menu: Any, context: Any) -> None:  # noqa: ARG001
 CLASSES = (
     SCANBACK_OT_import_reconstruction,
     SCANBACK_OT_import_dataset,
+    SCANBACK_OT_import_dropped,
     SCANBACK_OT_import_ply,
     SCANBACK_FH_ply,
-    SCANBACK_FH_reconstruction,
-    SCANBACK_FH_dataset,
+    SCANBACK_FH_folder,
 )
 
 

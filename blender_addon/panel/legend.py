@@ -16,6 +16,7 @@ WIDTH, HEIGHT, LEFT, BOTTOM = 240, 14, 24, 40
 STEPS = 48
 TITLE = "Distance from the original"
 _handles: list[Any] = []
+_prepared: list[bool] = []
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,6 +47,11 @@ def shows_colors(space: Any) -> bool:
 
 
 def _draw() -> None:
+    if not _prepared:
+        # A driver compiles what draws the bar as it draws it first, some 60 ms without a graphics card: better now, out
+        # of sight, than while a job runs.
+        _prepared.append(True)
+        _draw_bar(bpy.context.preferences.system.ui_scale, left=-2 * WIDTH)
     space = bpy.context.space_data
     legend = legend_of(bpy.context) if space is not None and shows_colors(space) else None
     if legend is not None:
@@ -53,11 +59,11 @@ def _draw() -> None:
         _draw_words(bpy.context.preferences.system.ui_scale, legend)
 
 
-def _draw_bar(scale: float) -> None:
+def _draw_bar(scale: float, *, left: float = LEFT) -> None:
     import gpu  # type: ignore[import-not-found]  # noqa: PLC0415 - these are there with an interface alone
     from gpu_extras.batch import batch_for_shader  # type: ignore[import-not-found]  # noqa: PLC0415
 
-    edges = LEFT * scale + WIDTH * scale * np.arange(STEPS + 1) / STEPS
+    edges = left * scale + WIDTH * scale * np.arange(STEPS + 1) / STEPS
     low, high = BOTTOM * scale, (BOTTOM + HEIGHT) * scale
     colors = heat_srgb((np.arange(STEPS) + 0.5) / STEPS)
     places, tints, triangles = [], [], []
@@ -95,3 +101,4 @@ def unregister() -> None:
     """Draw it no more."""
     while _handles:
         bpy.types.SpaceView3D.draw_handler_remove(_handles.pop(), "WINDOW")
+    _prepared.clear()

@@ -80,14 +80,26 @@ def test_a_mesh_file_is_imported_with_its_colors(sphere_scan: Any, tmp_path: Pat
 
 @pytest.mark.usefixtures("extension")
 def test_a_dropped_file_stands_for_its_folder(sphere_scan: Any) -> None:
-    file = str(sphere_scan.folder / "reconstruction.json")
-    assert bpy.ops.scanback.import_reconstruction("INVOKE_DEFAULT", filepath=file) == {"FINISHED"}
-    assert "Scanback sphere" in bpy.data.collections
-    handlers = {name: getattr(bpy.types, name) for name in dir(bpy.types) if name.startswith("SCANBACK_FH_")}
-    assert len(handlers) == 3
-    for handler in handlers.values():
+    for file, name in (
+        (sphere_scan.folder / "reconstruction.json", "Scanback sphere"),
+        (sphere_scan.dataset / "dataset.json", "Scanback dataset"),
+    ):
+        assert bpy.ops.scanback.import_dropped("INVOKE_DEFAULT", filepath=str(file)) == {"FINISHED"}
+        assert name in bpy.data.collections
+    with pytest.raises(RuntimeError, match=r"poses\.json: neither reconstruction\.json nor dataset\.json; drop one"):
+        bpy.ops.scanback.import_dropped("INVOKE_DEFAULT", filepath=str(sphere_scan.folder / "poses.json"))
+
+
+@pytest.mark.usefixtures("extension")
+def test_each_kind_of_file_has_one_handler_that_blender_can_give_files_to() -> None:
+    """Of two for one kind Blender asks which is meant; and it warns of a folder without files, or files without one."""
+    handlers = [getattr(bpy.types, name) for name in dir(bpy.types) if name.startswith("SCANBACK_FH_")]
+    assert sorted(handler.bl_file_extensions for handler in handlers) == [".json", ".ply"]
+    for handler in handlers:
         module, _, name = handler.bl_import_operator.partition(".")
-        assert getattr(getattr(bpy.ops, module), name).get_rna_type().properties["filepath"]
+        properties = getattr(getattr(bpy.ops, module), name).get_rna_type().properties
+        assert properties["filepath"].is_skip_save
+        assert ("directory" in properties) == ("files" in properties)
 
 
 @pytest.mark.usefixtures("extension")
