@@ -11,6 +11,7 @@ import sys
 import threading
 from pathlib import Path
 
+import addon_utils
 import bpy
 
 MODULE = "bl_ext.user_default.scanback"
@@ -67,6 +68,8 @@ def main(archive, folder):
     seen["enabled again"] = traces()
     bpy.ops.scanback.import_reconstruction(directory=folder)
     seen["collections"] = len(bpy.data.collections)
+    addon_utils._extensions_warnings_get._is_first = True  # worked out anew, as preferences do when they are opened
+    seen["policy"] = {name: list(texts) for name, texts in addon_utils._extensions_warnings_get().items()}
     packages = {name.partition(".")[0] for name in sys.modules}
     seen["foreign"] = sorted(packages & {"blender_addon", "datagen", "fusion"})
     repositories = [repository.module for repository in bpy.context.preferences.extensions.repos]

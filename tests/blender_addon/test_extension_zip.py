@@ -84,6 +84,7 @@ def test_the_zip_installs_works_and_leaves_nothing_behind(archive: Path, sphere_
     assert seen["uninstalled"] == before
     assert seen["collections"] == 2
     assert seen["foreign"] == []
+    assert seen["policy"] == {}  # as Blender's preferences would warn of
 
 
 def run_session(archive: Path, folder: Path, tmp_path: Path) -> dict[str, Any]:
