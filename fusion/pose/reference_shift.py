@@ -15,7 +15,7 @@ from datagen.rigid import Matrix, inverse, rigid
 from fusion.pose.pose_distance import pose_distances
 from fusion.pose.reference_frame import ReferenceFrame
 from fusion.pose.refinement import Refinement
-from fusion.pose.se3 import exp_se3, log_se3
+from fusion.pose.se3 import about_pivot, exp_se3, log_se3
 from fusion.pose.uncertainty import Uncertainty
 
 NEAR = 0.5
@@ -53,21 +53,14 @@ def reference_shift(reference: ReferenceFrame, found: Refinement) -> ReferenceSh
     if found.declined or not found.converged or known is None:
         return None
     own = rigid(reference.world_from_camera, source="pose of a fused frame")
-    twist = log_se3(_about(found.world_from_camera @ inverse(own), known.pivot_world))
+    twist = log_se3(about_pivot(found.world_from_camera @ inverse(own), known.pivot_world))
     return ReferenceShift(twist=_shrunk(twist, known), pivot_world=known.pivot_world)
 
 
 def without_shift(found: Refinement, shift: ReferenceShift) -> Refinement:
     """Return a query's pose without what moved the frame near it, too."""
-    moved = _about(exp_se3(-shift.twist), -shift.pivot_world)
+    moved = about_pivot(exp_se3(-shift.twist), -shift.pivot_world)
     return replace(found, world_from_camera=rigid(moved @ found.world_from_camera, source="corrected pose"))
-
-
-def _about(transform: Matrix, pivot_world: NDArray[np.float64]) -> Matrix:
-    """Return S⁻¹ · transform · S, S the translation to the pivot."""
-    result = transform.copy()
-    result[:3, 3] += transform[:3, :3] @ pivot_world - pivot_world
-    return result
 
 
 def _shrunk(twist: NDArray[np.float64], known: Uncertainty) -> NDArray[np.float64]:

@@ -105,3 +105,10 @@ def perturb(
     pivot = np.asarray(pivot_world, dtype=np.float64)
     result[..., :3, 3] += pivot - moved[..., :3, :3] @ pivot
     return result
+
+
+def about_pivot(transform: NDArray[np.float64], pivot: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return S⁻¹ · transform (4, 4) · S, S the translation to the pivot (3,): what its twist about the pivot is of."""
+    result = transform.copy()
+    result[:3, 3] += transform[:3, :3] @ pivot - pivot
+    return result

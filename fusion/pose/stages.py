@@ -5,6 +5,7 @@ from typing import Literal, get_args
 
 from datagen.errors import InputError
 from datagen.rigid import Matrix
+from fusion.pose.combination import combined
 from fusion.pose.depth_refinement import refine_with_depth
 from fusion.pose.epipolar import EpipolarOptions, Features, rectify
 from fusion.pose.pose_model import PoseModel
@@ -49,7 +50,8 @@ def refine(
 
     ``references`` are the fused frames nearest to the start, for the epipolar stage, whose ``features`` are SIFT, ORB
     or AKAZE. ``others`` are what else the search for the nearest pose has found, None where the start is not from
-    there: the depth stage tries them, too. ``nearest`` is what the start came from, and nothing is done for it.
+    there: the depth stage tries them, too. The silhouette's pose is combined with that of the features before it.
+    ``nearest`` is what the start came from, and nothing is done for it.
     """
     run: dict[Stage, Callable[[Matrix], Refinement]] = {
         "epipolar": lambda pose: rectify(model, query, references, pose, options=EpipolarOptions(features=features)),
@@ -59,7 +61,12 @@ def refine(
     results: list[Refinement] = []
     pose = start
     for name in stages:
-        if name != "nearest":
-            results.append(run[name](pose))
-            pose = results[-1].world_from_camera
+        if name == "nearest":
+            continue
+        found = run[name](pose)
+        if name == "silhouette" and results and results[-1].stage == "epipolar":
+            # Where the outline hardly fixes the pose, the features' stays, and the other way round.
+            found = combined(results[-1], found)
+        results.append(found)
+        pose = found.world_from_camera
     return results

@@ -36,8 +36,9 @@ class Trial:
 
     ``start``: what ``nearest`` finds and aligns, as ``fusion locate`` does, by the outline where there is no depth; the
     pose of the fused view that is in truth the nearest; or the truth, perturbed. ``stages`` refine it, ``repeats``
-    times a frame from different starts. A query is either ``depth`` with its colours, or a ``mask`` alone; ``noise``
-    spoils it. ``with_vsd``: the visible surface discrepancy is told too, for which the model has to be rendered.
+    times a frame from different starts. A query is ``depth`` with its colours, a ``mask`` alone, or ``color`` with a
+    mask; ``noise`` spoils it. ``with_vsd``: the visible surface discrepancy is told too, for which the model has to be
+    rendered.
     """
 
     name: str
@@ -45,7 +46,7 @@ class Trial:
     start: Literal["found", "nearest view"] | Perturbation
     stages: tuple[StageName, ...]
     bars: tuple[Bar, ...]
-    sees: Literal["depth", "mask"] = "depth"
+    sees: Literal["depth", "mask", "color"] = "depth"
     noise: Noise | None = None
     repeats: int = 1
     with_vsd: bool = False
@@ -93,6 +94,14 @@ def _object_trials(width_px: int) -> tuple[Trial, ...]:
             stages=("silhouette",),
             sees="mask",
             bars=(median_rotation(at_most=0.5), median_translation(at_most=2), strict, refinement_time(), *bop),
+        ),
+        Trial(
+            name="color",
+            title="clean, colour with a mask, from the nearest view",
+            start="nearest view",
+            stages=("epipolar", "silhouette"),
+            sees="color",
+            bars=(median_rotation(at_most=0.5), median_translation(at_most=2), strict),
         ),
         Trial(
             name="outline",

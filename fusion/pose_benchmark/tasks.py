@@ -81,6 +81,8 @@ def make_task(case: Case) -> Task:
     view = exact if trial.noise is None else spoiled(exact, trial.noise, rng=rng)
     if trial.sees == "mask":
         query = Query(camera=view.camera, mask=view.seen)
+    elif trial.sees == "color":
+        query = Query(camera=view.camera, mask=view.seen, color=view.color)
     else:
         query = Query(camera=view.camera, depth=view.depth, color=view.color, mask=view.mask)
     task = Task(case=case, view=view, query=query, start=exact.world_from_camera, nearest=None, references=())
@@ -90,14 +92,19 @@ def make_task(case: Case) -> Task:
     if subject.fused is None:
         raise InputError(f"{subject.name}: was not fused from frames, so that none of them is the nearest")
     if trial.start == "nearest view":
-        return replace(task, start=subject.fused.poses[_truly_nearest(subject.fused, exact)])
+        nearest = np.argsort(view_distances(subject.fused, exact), kind="stable")
+        return replace(
+            task,
+            start=subject.fused.poses[subject.fused.frames[nearest[0]]],
+            references=_references(subject.fused, trial, nearest),
+        )
     fused = subject.fused
     found, cost = timed(lambda: _found(subject, fused, query))
     return replace(
         task,
         start=found.estimate,
         nearest=_nearest(fused, exact, found, cost),
-        references=_references(fused, trial, found),
+        references=_references(fused, trial, found.indices),
         others=list(found.others) if isinstance(found, NearestPose) else None,
     )
 
@@ -125,10 +132,6 @@ def view_distances(fused: Fused, view: View) -> NDArray[np.float64]:
     return np.hypot(turns, shifts / depth)
 
 
-def _truly_nearest(fused: Fused, exact: View) -> int:
-    return fused.frames[int(view_distances(fused, exact).argmin())]
-
-
 def _nearest(fused: Fused, exact: View, found: NearestPose | NearestOutline, cost: Cost) -> NearestFound:
     distances = view_distances(fused, exact)
     best = int(found.indices[0])
@@ -141,7 +144,7 @@ def _nearest(fused: Fused, exact: View, found: NearestPose | NearestOutline, cos
     )
 
 
-def _references(fused: Fused, trial: Trial, found: NearestPose | NearestOutline) -> tuple[ReferenceFrame, ...]:
+def _references(fused: Fused, trial: Trial, nearest: NDArray[np.int64]) -> tuple[ReferenceFrame, ...]:
     if trial.stages == ("silhouette",):
         return ()
-    return tuple(fused.reference(fused.frames[i]) for i in found.indices[:REFERENCES])
+    return tuple(fused.reference(fused.frames[i]) for i in nearest[:REFERENCES])

@@ -111,6 +111,9 @@ def test_the_bars_are_those_that_were_asked_for():
         ("clean", "ADD-0.01d"): 99,
         ("mask", "median rotation"): 0.5,
         ("mask", "median translation"): 2,
+        # Of a query without depth, whether it has colours beside its mask or not.
+        ("color", "median rotation"): 0.5,
+        ("color", "median translation"): 2,
         ("off-10", "within 1 cm 1°"): 99,
         ("off-40", "within 1 cm 1°"): 95,
         ("noisy", "within 1 cm 1°"): 90,
