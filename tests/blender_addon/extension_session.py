@@ -11,7 +11,6 @@ import sys
 import threading
 from pathlib import Path
 
-import addon_utils
 import bpy
 
 MODULE = "bl_ext.user_default.scanback"
@@ -68,6 +67,8 @@ def main(archive, folder):
     seen["enabled again"] = traces()
     bpy.ops.scanback.import_reconstruction(directory=folder)
     seen["collections"] = len(bpy.data.collections)
+    import addon_utils  # Blender's own, which is there once bpy is
+
     addon_utils._extensions_warnings_get._is_first = True  # worked out anew, as preferences do when they are opened
     seen["policy"] = {name: list(texts) for name, texts in addon_utils._extensions_warnings_get().items()}
     packages = {name.partition(".")[0] for name in sys.modules}
