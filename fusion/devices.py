@@ -145,11 +145,14 @@ class SlabLaunch:
             except IndexError:
                 commands = self._recorded()
             for first in firsts:
+                left = self._dim - first
                 for step, command in zip(self._steps, commands, strict=True):
                     command.set_param_at_index_from_ctype(0, first * step.threads)
-                    if self._dim % self._slab:
-                        command.set_dim(min(self._slab, self._dim - first) * step.threads)
+                    if left < self._slab:
+                        command.set_dim(left * step.threads)
                     command.launch()
+                    if left < self._slab:
+                        command.set_dim(self._slab * step.threads)  # for the next run
             self._idle.append(commands)
 
         _on_all_cores(work, tasks=-(-self._dim // self._slab))

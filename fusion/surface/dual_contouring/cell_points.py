@@ -13,7 +13,7 @@ from fusion.surface.dual_contouring.cell_table import CellTables, cell_tables
 from fusion.surface.dual_contouring.cells_from_faces import solve_cells_from_faces
 from fusion.surface.dual_contouring.dual_grid import Counts, DualGrid, first_vertex
 from fusion.surface.dual_contouring.layer_solver import solve_layer
-from fusion.surface.dual_contouring.vertices import Vertices
+from fusion.surface.dual_contouring.vertices import VertexRoom, Vertices
 from fusion.surface.layers import NONE, below, launch_over_layers, lowest_bit, number_of, share_of, shares_on
 from fusion.volume.tsdf_volume import Volume
 from fusion.volume.voxels import Voxels
@@ -70,15 +70,15 @@ def cell_points(
     along: wp.array,
     curve_points: wp.array | None,
     *,
-    normals: bool,
+    room: VertexRoom,
 ) -> tuple[wp.array, Vertices]:
-    """Return the vertices within cells, and where in their cells they are (vertices,), in voxels.
+    """Return the vertices within cells, in ``room``, and where in their cells they are (vertices,), in voxels.
 
     Their planes come from ``curve_points``. Without these they are still to be moved (``close_gaps``).
     """
     device, shares = volume.device, shares_on(volume.device)
     places = wp.empty(counts.vertices, dtype=wp.vec3, device=device)
-    vertices = Vertices.empty(counts.vertices, device, normals=normals)
+    vertices = room.take(counts.vertices)
     inputs = [shares, grid, cell_tables(str(device.alias)), volume.table.blocks, volume.voxels, volume.voxel_size]
     outputs = [places, vertices.points, vertices.colors, vertices.normals]
     dim = shares * len(grid.several)

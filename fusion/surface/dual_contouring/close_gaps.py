@@ -9,14 +9,14 @@ order that leaves the quads on the points; a sharp edge, which centroids cut off
 
 import warp as wp
 
-from fusion.surface.dual_contouring.cell_table import COUNT_SHIFT, CellTables, cell_tables
+from fusion.surface.dual_contouring.cell_table import COUNT_SHIFT
 from fusion.surface.dual_contouring.dual_grid import DualGrid, first_vertex
+from fusion.surface.dual_contouring.lanes import LANES_IN_CPP
 from fusion.surface.dual_contouring.qef import INSET
 from fusion.surface.dual_contouring.vertices import Vertices
 from fusion.surface.layers import (
     NONE,
     below,
-    corners_on,
     launch_over_layers,
     lowest_bit,
     number_of,
@@ -27,24 +27,64 @@ from fusion.volume.tsdf_volume import Volume
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-# In C++ for its local arrays: the quads of the eight layers around the cells are looked up once for all of them.
-_CLOSE_GAPS_IN_CPP = (
-    f"constexpr float LOWEST = {INSET}f, HIGHEST = 1.0f - {INSET}f; constexpr int COUNT_SHIFT = {COUNT_SHIFT};"
-    + """
-    struct { wp::uint64 complete[3]; int first[3]; } owners[8] = {};
+# Gaps go to the cells around their edges, quad by quad, in the order in which they lie in memory. The cells, and those
+# beside them that belong to other blocks or layers, are in rows of ten.
+_GATHER_IN_CPP = """
+    float sums[100][4] = {};  // of the gaps around each cell, and their number
+    const wp::uint64 near = active | active << 1 | active << 8 | active << 9;  // where cells' edges of this block are
     for (int corner = 0; corner < 8; ++corner) {
         const int holder = grid.cells.upper.data[8 * slot + ((corner & 3) | (z == 7 ? corner & 4 : 0))];
         if (holder < 0) continue;
-        const int layer = 8 * holder + ((z + (corner >> 2)) & 7);
-        auto &owner = owners[corner];
-        int number = grid.quad_starts.data[layer];
-        for (int axis = 0; axis < 3; ++axis) {
-            const auto &complete = axis == 0 ? grid.complete_x : axis == 1 ? grid.complete_y : grid.complete_z;
-            owner.complete[axis] = complete.data[layer];
-            owner.first[axis] = number;
-            number += wp::bit_count(owner.complete[axis]);
+        const int layer = 8 * holder + ((z + (corner >> 2)) & 7), beyond_x = corner & 1, beyond_y = (corner >> 1) & 1;
+        // Of the blocks beyond, cells have edges in the first column or row.
+        const wp::uint64 column = beyond_x ? 0x0101010101010101ull : ~0ull, row = beyond_y ? 0xffull : ~0ull;
+        const wp::uint64 asked = corner & 3 ? column & row : near;
+        int first = grid.quad_starts.data[layer];
+        // Edges along z from the layer above belong to other cells.
+        for (int axis = 0; axis < (corner < 4 ? 3 : 2); ++axis) {
+            const auto &words = axis == 0 ? grid.complete_x : axis == 1 ? grid.complete_y : grid.complete_z;
+            const wp::uint64 complete = words.data[layer];
+            for (wp::uint64 left = complete & asked; left != 0; left &= left - 1) {
+                const int bit = wp::bit_count((left - 1) & ~left);
+                const wp::uint64 before = ((wp::uint64)1 << bit) - 1;
+                const wp::vec3 gap = gaps.data[first + wp::bit_count(complete & before)];
+                const float add[4] = {gap[0], gap[1], gap[2], 1.0f};
+                auto *here = sums + 10 * ((bit >> 3) + 8 * beyond_y + 1) + (bit & 7) + 8 * beyond_x + 1;
+                for (int j = 0; j < 4; ++j) here[0][j] += add[j];
+                if (axis != 0) for (int j = 0; j < 4; ++j) here[-1][j] += add[j];
+                if (axis != 1) for (int j = 0; j < 4; ++j) here[-10][j] += add[j];
+                if (axis == 2) for (int j = 0; j < 4; ++j) here[-11][j] += add[j];
+            }
+            first += wp::bit_count(complete);
         }
     }
+"""
+
+_MOVE_IN_CPP = """
+    V place[3], sum[3], corner[3], quads;
+    int filled = 0, numbers[LANES];
+    corner[2] = block_z;
+    auto move_lanes = [&]() {
+        const V none = 0.0f, one = 1.0f, lowest = LOWEST, highest = HIGHEST;
+        V share = one / (quads > none ? quads : one);
+        // No farther than within the cell: shortened, a step along a plane stays on it.
+        for (int j = 0; j < 3; ++j) {
+            const V room = (sum[j] < none ? lowest : highest) - place[j], step = share * sum[j];
+            const auto too_far = (step < none ? -step : step) > (room < none ? -room : room);
+            const V shorter = room / (too_far ? sum[j] : one);
+            share = too_far ? (shorter > none ? shorter : none) : share;
+        }
+        for (int j = 0; j < 3; ++j) {
+            const V moved = place[j] + share * sum[j];
+            place[j] = moved < lowest ? lowest : moved > highest ? highest : moved;
+            const V point = voxel_size * (corner[j] + place[j]);
+            for (int lane = 0; lane < filled; ++lane) {
+                places.data[numbers[lane]][j] = lanes_of(place[j])[lane];
+                points.data[numbers[lane]][j] = lanes_of(point)[lane];
+            }
+        }
+        filled = 0;
+    };
     const wp::uint64 several = grid.several.data[8 * slot + z];
     for (wp::uint64 left = active; left != 0; left &= left - 1, ++vertex) {
         const int bit = wp::bit_count((left - 1) & ~left);
@@ -52,54 +92,34 @@ _CLOSE_GAPS_IN_CPP = (
             vertex += (int)(grid.codes.data[odd_cell++] >> COUNT_SHIFT) - 1;
             continue;
         }
-        int pattern = 0;
-        for (int corner = 0; corner < 4; ++corner) {
-            pattern |= (int)((below.c[corner] >> bit) & 1) << corner;
-            pattern |= (int)((above.c[corner] >> bit) & 1) << (corner + 4);
-        }
-        float sum[3] = {0.0f, 0.0f, 0.0f}, quads = 0.0f;
-        const int *edges = tables.edges.data + 12 * pattern, crossed = tables.ends.data[5 * pattern + 1];
-        for (int i = 0; i < crossed; ++i) {
-            const int edge = edges[i], axis = edge >> 2, k = edge & 3;
-            const int low = axis == 0 ? k << 1 : axis == 1 ? (k & 1) | ((k & 2) << 1) : k;
-            const int x = (bit & 7) + (low & 1), y = (bit >> 3) + ((low >> 1) & 1), at = 8 * (y & 7) + (x & 7);
-            const auto &owner = owners[(x >> 3) | ((y >> 3) << 1) | (low & 4)];
-            if (!((owner.complete[axis] >> at) & 1)) continue;
-            const wp::uint64 before = ((wp::uint64)1 << at) - 1;
-            const wp::vec3 gap = gaps.data[owner.first[axis] + wp::bit_count(owner.complete[axis] & before)];
-            for (int j = 0; j < 3; ++j) sum[j] += gap[j];
-            quads += 1.0f;
-        }
-        // No farther than within the cell: shortened, a step along a plane stays on it.
-        float share = quads > 0.0f ? 1.0f / quads : 0.0f;
-        wp::vec3 place = places.data[vertex];
+        const float *own = sums[10 * ((bit >> 3) + 1) + (bit & 7) + 1];
         for (int j = 0; j < 3; ++j) {
-            const float room = (sum[j] < 0.0f ? LOWEST : HIGHEST) - place[j];
-            if (fabsf(share * sum[j]) > fabsf(room)) share = room / sum[j] > 0.0f ? room / sum[j] : 0.0f;
+            lanes_of(place[j])[filled] = places.data[vertex][j];
+            lanes_of(sum[j])[filled] = own[j];
         }
-        for (int j = 0; j < 3; ++j) {
-            const float moved = place[j] + share * sum[j];
-            place[j] = moved < LOWEST ? LOWEST : moved > HIGHEST ? HIGHEST : moved;
-        }
-        const wp::vec3 point = wp::vec3(voxel_size * (block_x + (bit & 7) + place[0]),
-                                        voxel_size * (block_y + (bit >> 3) + place[1]),
-                                        voxel_size * (block_z + place[2]));
-        places.data[vertex] = place;
-        points.data[vertex] = point;
+        lanes_of(quads)[filled] = own[3];
+        lanes_of(corner[0])[filled] = block_x + (bit & 7);
+        lanes_of(corner[1])[filled] = block_y + (bit >> 3);
+        numbers[filled++] = vertex;
+        if (filled == LANES) move_lanes();
     }
+    if (filled > 0) move_lanes();
 """
+
+_CLOSE_GAPS_IN_CPP = (
+    f"constexpr float LOWEST = {INSET}f, HIGHEST = 1.0f - {INSET}f; constexpr int COUNT_SHIFT = {COUNT_SHIFT};"
+    + LANES_IN_CPP
+    + _GATHER_IN_CPP
+    + _MOVE_IN_CPP
 )
 
 
 @wp.func_native(_CLOSE_GAPS_IN_CPP)
 def close_layer(
     grid: DualGrid,
-    tables: CellTables,
     slot: int,
     z: int,
     active: wp.uint64,
-    below: wp.vec4ul,
-    above: wp.vec4ul,
     vertex: int,
     odd_cell: int,
     gaps: wp.array(dtype=wp.vec3),
@@ -121,7 +141,6 @@ def _close_gaps(
     first: int,
     shares: int,
     grid: DualGrid,
-    tables: CellTables,
     blocks: wp.array(dtype=wp.vec3i),
     voxel_size: float,
     gaps: wp.array(dtype=wp.vec3),
@@ -139,12 +158,9 @@ def _close_gaps(
     corner = 8 * blocks[number_of(grid.cells, slot)]
     close_layer(
         grid,
-        tables,
         slot,
         z,
         active,
-        corners_on(grid.cells.inside, grid.cells.upper, slot, z),
-        corners_on(grid.cells.inside, grid.cells.upper, slot, z + 1),
         first_vertex(grid, layer, lowest),
         grid.vertex_starts[layer][1] + wp.bit_count(grid.several[layer] & below(lowest)),
         gaps,
@@ -163,11 +179,10 @@ def close_gaps(volume: Volume, grid: DualGrid, gaps: wp.array, places: wp.array,
     Those of cells with several loops stay where they are, within their hulls.
     """
     device, shares = volume.device, shares_on(volume.device)
-    tables = cell_tables(str(device.alias))
     launch_over_layers(
         _close_gaps,
         dim=shares * len(grid.several),
-        inputs=[shares, grid, tables, volume.table.blocks, volume.voxel_size, gaps],
+        inputs=[shares, grid, volume.table.blocks, volume.voxel_size, gaps],
         outputs=[places, cells.points],
         device=device,
     )

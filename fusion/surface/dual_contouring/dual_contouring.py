@@ -6,8 +6,6 @@ those on the edges of the rim; triangles are in the order of the edges, those at
 which thread is first.
 """
 
-import numpy as np
-
 from fusion.devices import Kernel
 from fusion.surface.dual_contouring.cell_points import cell_points
 from fusion.surface.dual_contouring.close_gaps import close_gaps
@@ -21,9 +19,12 @@ from fusion.surface.dual_contouring.quads import cut_quads
 from fusion.surface.dual_contouring.rim_polygons import count_rim_triangles, write_rim_triangles
 from fusion.surface.dual_contouring.rim_vertices import rim_vertices
 from fusion.surface.dual_contouring.signs import sign_kernel
-from fusion.surface.dual_contouring.vertices import Vertices
+from fusion.surface.dual_contouring.vertices import VertexRoom
 from fusion.surface.mesh import Mesh
 from fusion.volume.tsdf_volume import Volume
+
+_MORE = 16
+"""A vertex on a face or an edge for so many within cells is more than most scenes have."""
 
 
 def dual_contouring(
@@ -40,15 +41,16 @@ def dual_contouring(
     grid, counts = find_grid(volume, oracle, min_weight=min_weight)
     along = edge_points(volume, grid, counts, oracle)
     curve_points = None if oracle is None else face_points(volume, grid, counts, oracle, along)
-    places, cells = cell_points(volume, grid, counts, along, curve_points, normals=normals)
+    room = VertexRoom(counts.vertices + counts.rim + counts.vertices // _MORE, volume.device, normals=normals)
+    places, cells = cell_points(volume, grid, counts, along, curve_points, room=room)
     corners, gaps = quad_corners(grid, counts, along, places, gaps=oracle is None)
     if oracle is None:
         close_gaps(volume, grid, gaps, places, cells)
     del gaps  # its memory serves what follows
-    pins = place_pins(volume, grid, along, curve_points, places, cells, normals=normals)
+    pins = place_pins(volume, grid, along, curve_points, places, cells, room=room)
     starts, more = count_rim_triangles(grid, counts.rim)
-    cut = cut_quads(volume, grid, corners, along, places, cells, pins=len(pins.points), more=more, normals=normals)
-    rim = rim_vertices(volume, grid, counts.rim, along, cells, normals=normals)
+    cut = cut_quads(volume, grid, corners, along, places, cells, pins=len(pins.points), more=more, room=room)
+    rim_vertices(volume, grid, counts.rim, along, cells, room=room)
     first_pin, first_fan = len(cells.points), len(cells.points) + len(pins.points)
     write_rim_triangles(
         grid,
@@ -58,20 +60,15 @@ def dual_contouring(
         first_rim=first_fan + len(cut.fans.points),
         first_triangle=len(cut.triangles) - more,
     )
-    return _mesh([cells, pins, cut.fans, rim], cut.triangles.numpy(), normals=normals)
+    return Mesh(
+        vertices=room.taken("points"),
+        triangles=cut.triangles.numpy(),
+        colors=room.taken("colors"),
+        normals=room.taken("normals") if normals else None,
+    )
 
 
 def oracle_kernels(oracle: Oracle) -> list[Kernel]:
     """Return the kernels that are made for an oracle, to be compiled ahead."""
     asked = (sign_kernel, search_kernel, face_kernel)
     return [make(oracle.value, oracle.state_type) for make in asked]
-
-
-def _mesh(vertices: list[Vertices], triangles: np.ndarray, *, normals: bool) -> Mesh:
-    """Return the mesh on the host."""
-    return Mesh(
-        vertices=np.concatenate([some.points.numpy() for some in vertices]),
-        triangles=triangles,
-        colors=np.concatenate([some.colors.numpy() for some in vertices]),
-        normals=np.concatenate([some.normals.numpy() for some in vertices]) if normals else None,
-    )

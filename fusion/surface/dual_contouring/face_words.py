@@ -109,6 +109,16 @@ def layer_words(grid: DualGrid, slot: int, z: int) -> LayerWords:
 
 
 @wp.func
+def face_pattern(words: LayerWords, axis: int, bit: int) -> int:
+    """Return which corners of the face across ``axis`` from a voxel are inside, as ``pattern_of`` does."""
+    corners = face_corners(words.low, words.high, axis)
+    pattern = int(0)
+    for corner in range(4):
+        pattern |= int((corners[corner] >> wp.uint64(bit)) & wp.uint64(1)) << corner
+    return pattern
+
+
+@wp.func
 def delicate_curves(words: LayerWords, axis: int) -> wp.vec2ul:
     """Return the faces across an axis on whose curve 0 and 1 the surface may come too near to another sheet.
 

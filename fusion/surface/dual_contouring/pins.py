@@ -18,7 +18,13 @@ from warp.utils import array_scan
 
 from fusion.devices import launch_in_slabs
 from fusion.surface.dual_contouring.dual_grid import DualGrid, curve_number, pin_number, place_of, vertex_of_edge
-from fusion.surface.dual_contouring.face_words import delicate_curves, last_curves, layer_words, may_be_delicate
+from fusion.surface.dual_contouring.face_words import (
+    delicate_curves,
+    face_pattern,
+    last_curves,
+    layer_words,
+    may_be_delicate,
+)
 from fusion.surface.dual_contouring.faces import (
     curve_edges,
     edge_in_cell,
@@ -30,7 +36,7 @@ from fusion.surface.dual_contouring.faces import (
     point_on_edge,
 )
 from fusion.surface.dual_contouring.qef import INSET
-from fusion.surface.dual_contouring.vertices import Vertices, set_vertex_between
+from fusion.surface.dual_contouring.vertices import VertexRoom, Vertices, set_vertex_between
 from fusion.surface.layers import NONE, launch_over_layers, lowest_bit, number_of, step_along
 from fusion.volume.tsdf_volume import Volume
 
@@ -68,26 +74,32 @@ def meeting_point(a: wp.vec2, b: wp.vec2, leads: wp.vec4) -> wp.vec2:
 
 
 @wp.func
+def vertices_at(grid: DualGrid, slot: int, layer: int, bit: int, axis: int, edge: int) -> wp.vec2i:
+    """Return the vertices that the cells above and below a face have for one of its edges, −1 for a cell not seen."""
+    at = wp.vec3i(bit & 7, bit >> 3, layer & 7) - step_along(axis)
+    before = place_of(grid.cells.lower, slot, at[0], at[1], at[2])
+    return wp.vec2i(
+        vertex_of_edge(grid, layer, bit, edge_in_cell(axis, edge, False)),
+        vertex_of_edge(grid, before[0], before[1], edge_in_cell(axis, edge, True)),
+    )
+
+
+@wp.func
 def vertices_beside(grid: DualGrid, slot: int, layer: int, bit: int, axis: int, ends: wp.vec2i) -> wp.vec4i:
     """Return the vertices that the cells above and below a face have for the two edges that a curve joins, in turn.
 
     It is −1 for a cell that was not seen.
     """
-    at = wp.vec3i(bit & 7, bit >> 3, layer & 7) - step_along(axis)
-    before = place_of(grid.cells.lower, slot, at[0], at[1], at[2])
-    return wp.vec4i(
-        vertex_of_edge(grid, layer, bit, edge_in_cell(axis, ends[0], False)),
-        vertex_of_edge(grid, before[0], before[1], edge_in_cell(axis, ends[0], True)),
-        vertex_of_edge(grid, layer, bit, edge_in_cell(axis, ends[1], False)),
-        vertex_of_edge(grid, before[0], before[1], edge_in_cell(axis, ends[1], True)),
-    )
+    first = vertices_at(grid, slot, layer, bit, axis, ends[0])
+    second = vertices_at(grid, slot, layer, bit, axis, ends[1])
+    return wp.vec4i(first[0], first[1], second[0], second[1])
 
 
 @wp.func
-def passes_within_hull(around: wp.vec4i, axis: int, ends: wp.vec2i, places: wp.array(dtype=wp.vec3)) -> bool:
+def passes_within_hull(beside: wp.vec2i, axis: int, ends: wp.vec2i, places: wp.array(dtype=wp.vec3)) -> bool:
     """Return whether the line between the vertices on both sides of a face passes it within a curve's hull."""
-    above = places[around[0]]
-    below = places[around[1]]
+    above = places[beside[0]]
+    below = places[beside[1]]
     share = (1.0 - below[axis]) / (1.0 - below[axis] + above[axis])
     point = below + share * (above - below)
     return is_in_hull(wp.vec2(point[face_u(axis)], point[face_v(axis)]), ends)
@@ -149,14 +161,14 @@ def _choose_pins(
                 bit = lowest_bit(left)
                 one = left & (~left + wp.uint64(1))
                 voxel = wp.vec3i(bit & 7, bit >> 3, layer & 7)
-                ends = curve_edges(pattern_of(grid, slot, voxel, axis), curve)
+                ends = curve_edges(face_pattern(words, axis, bit), curve)
                 pinned = bool(False)
                 if (last[curve] & one) != NONE:
                     leads = curve_points[curve_number(grid, layer, axis, bit) + curve]
                     pinned = bends_within_hull(ends_on_face(grid, slot, voxel, axis, ends, along), leads, ends)
                 else:
-                    around = vertices_beside(grid, slot, layer, bit, axis, ends)
-                    pinned = not passes_within_hull(around, axis, ends, places)
+                    beside = vertices_at(grid, slot, layer, bit, axis, ends[0])
+                    pinned = not passes_within_hull(beside, axis, ends, places)
                 if pinned:
                     pins |= one
                 left = left ^ one
@@ -221,9 +233,9 @@ def place_pins(
     places: wp.array,
     cells: Vertices,
     *,
-    normals: bool,
+    room: VertexRoom,
 ) -> Vertices:
-    """Find the pinned curves (``grid.pins``, ``pin_starts``) and return the vertices on them.
+    """Find the pinned curves (``grid.pins``, ``pin_starts``) and return the vertices on them, in ``room``.
 
     The ``cells``' vertices lie at ``places``; colours and normals are those of the ones beside.
     """
@@ -234,7 +246,7 @@ def place_pins(
     launch_over_layers(_choose_pins, dim=layers, inputs=inputs, outputs=[], device=device)
     array_scan(grid.pin_starts, grid.pin_starts, inclusive=False)
     count = int(grid.pin_starts[layers:].numpy()[0])
-    pins = Vertices.empty(count, device, normals=normals)
+    pins = room.take(count)
     launch_in_slabs(
         _place_pins,
         dim=layers if count else 0,

@@ -13,7 +13,7 @@ from fusion.surface.dual_contouring.dual_grid import DualGrid
 from fusion.surface.dual_contouring.layer_quads import split_layer
 from fusion.surface.dual_contouring.quad_pins import has_pins, pins_around
 from fusion.surface.dual_contouring.quad_split import FAN
-from fusion.surface.dual_contouring.vertices import Vertices, set_vertex_between
+from fusion.surface.dual_contouring.vertices import VertexRoom, Vertices, set_vertex_between
 from fusion.surface.layers import NONE, launch_over_layers, lowest_bit, number_of, vertex_number
 from fusion.volume.tsdf_volume import Volume
 
@@ -178,11 +178,12 @@ def cut_quads(
     *,
     pins: int,
     more: int,
-    normals: bool,
+    room: VertexRoom,
 ) -> CutQuads:
     """Cut quads between ``corners``, numbers of the ``cells``' vertices, which lie at ``places`` in their cells.
 
     ``pins`` is how many vertices on faces there are; there is room for ``more`` triangles behind those of the quads.
+    The fans' vertices are in ``room``.
     """
     device, layers = volume.device, len(grid.several)
     # By quad how it is cut; by layer how many triangles and fans come before.
@@ -202,7 +203,7 @@ def cut_quads(
         outputs=[triangles],
         device=device,
     )
-    fans = Vertices.empty(fan_total, device, normals=normals)
+    fans = room.take(fan_total)
     launch_in_slabs(
         _place_fans,
         dim=layers if fan_total else 0,

@@ -5,7 +5,7 @@ import warp as wp
 from fusion.devices import launch_in_slabs
 from fusion.surface.dual_contouring.dual_grid import DualGrid
 from fusion.surface.dual_contouring.rim import rim_along, vertex_in_cell
-from fusion.surface.dual_contouring.vertices import Vertices, set_vertex_between
+from fusion.surface.dual_contouring.vertices import VertexRoom, Vertices, set_vertex_between
 from fusion.surface.layers import NONE, lowest_bit, number_of, step_along, vertex_number, voxel_of
 from fusion.volume.tsdf_volume import Volume
 from fusion.volume.voxel_average import average_of, color_along
@@ -69,13 +69,13 @@ def _place_vertices(
 
 
 def rim_vertices(
-    volume: Volume, grid: DualGrid, rim: int, along: wp.array, cells: Vertices, *, normals: bool
+    volume: Volume, grid: DualGrid, rim: int, along: wp.array, cells: Vertices, *, room: VertexRoom
 ) -> Vertices:
-    """Return the vertices on rim edges, at their 1-D points, with the colours of the voxels there.
+    """Return the vertices on rim edges, in ``room``, at their 1-D points, with the colours of the voxels there.
 
     Their normals are those of the ``cells``' vertices around.
     """
-    vertices = Vertices.empty(rim, volume.device, normals=normals)
+    vertices = room.take(rim)
     launch_in_slabs(
         _place_vertices,
         dim=len(grid.several) if rim else 0,

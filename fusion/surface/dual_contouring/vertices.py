@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import warp as wp
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
@@ -24,6 +25,43 @@ class Vertices:
             colors=wp.empty(count, dtype=wp.vec3ub, device=device),
             normals=wp.empty(count if normals else 0, dtype=wp.vec3, device=device),
         )
+
+    def part(self, start: int, end: int) -> "Vertices":
+        """Return the vertices from one number to before another, where they lie."""
+        some = slice(start, end)
+        normals = self.normals[some] if len(self.normals) else self.normals
+        return Vertices(points=self.points[some], colors=self.colors[some], normals=normals)
+
+
+class VertexRoom:
+    """Room for vertices that follow each other, so that a mesh need not be put together from parts.
+
+    Vertices beyond the ``count`` that were expected have room of their own.
+    """
+
+    def __init__(self, count: int, device: Any, *, normals: bool) -> None:
+        self.normals = normals
+        self._device = device
+        self._whole = Vertices.empty(count, device, normals=normals)
+        self._parts: list[Vertices] = []
+        self._taken = 0
+
+    def take(self, count: int) -> Vertices:
+        """Return room for the next vertices."""
+        end = self._taken + count
+        if count > 0 and end <= len(self._whole.points):  # there are no empty slices
+            part = self._whole.part(self._taken, end)
+        else:
+            part = Vertices.empty(count, self._device, normals=self.normals)
+        self._parts.append(part)
+        self._taken = end
+        return part
+
+    def taken(self, name: str) -> np.ndarray:
+        """Return on the host what was taken, of ``points``, ``colors`` or ``normals``."""
+        if 0 < self._taken <= len(self._whole.points):
+            return getattr(self._whole, name)[: self._taken].numpy()
+        return np.concatenate([getattr(part, name).numpy() for part in self._parts])
 
 
 @wp.func

@@ -7,6 +7,7 @@ from mesh_topology import edge_uses, enclosed_volume, is_closed, is_manifold, se
 from fusion.evaluation.evaluate import sample_surface
 from fusion.surface.closest_points import closest_points
 from fusion.surface.dual_contouring.dual_contouring import dual_contouring
+from fusion.surface.dual_contouring.vertices import VertexRoom
 from fusion.surface.marching_cubes import marching_cubes
 from fusion.surface.mesh import Mesh
 
@@ -258,3 +259,17 @@ def test_the_tests_of_topology_tell_what_is_wrong():
     assert not is_manifold(bow_tie)
     fin = Mesh(vertices=np.zeros((5, 3), np.float32), triangles=np.int32([[0, 1, 2], [1, 0, 3], [0, 1, 4]]))
     assert not is_manifold(fin)
+
+
+@pytest.mark.parametrize("expected", [0, 3, 4, 9])
+def test_vertices_follow_each_other_whatever_room_there_is(device, expected):
+    values = np.arange(15, dtype=np.float32).reshape(5, 3)
+    room = VertexRoom(expected, device, normals=True)
+    for some in (slice(0, 3), slice(3, 3), slice(3, 5)):
+        part = room.take(some.stop - some.start)
+        part.points.assign(values[some])
+        part.colors.assign(values[some].astype(np.uint8))
+        part.normals.assign(-values[some])
+    np.testing.assert_array_equal(room.taken("points"), values)
+    np.testing.assert_array_equal(room.taken("colors"), values)
+    np.testing.assert_array_equal(room.taken("normals"), -values)
