@@ -65,6 +65,7 @@ class Scene:
     name: str
     poses: list
     device: object
+    camera: PinholeCamera = CAMERA
 
     def depth(self, frame):
         raise NotImplementedError
@@ -82,7 +83,7 @@ class Scene:
         """By position: a cube of 0.5 m from black to white, and over again."""
         colors = []
         for depth, pose in zip(self.depths, self.poses, strict=True):
-            points = CAMERA.back_project(depth) @ pose[:3, :3].T + pose[:3, 3]
+            points = self.camera.back_project(depth) @ pose[:3, :3].T + pose[:3, 3]
             colors.append(np.uint8(255 * np.abs((2 * points) % 2 - 1)))
         return colors
 
@@ -92,7 +93,7 @@ class SphereScene(Scene):
 
     def depth(self, frame):
         pose = self.poses[frame]
-        rays = CAMERA.back_project(np.ones((CAMERA.height, CAMERA.width))) @ pose[:3, :3].T
+        rays = self.camera.back_project(np.ones((self.camera.height, self.camera.width))) @ pose[:3, :3].T
         offset = pose[:3, 3] - SPHERE_CENTRE
         a, b, c = (rays**2).sum(-1), rays @ offset, offset @ offset - SPHERE_RADIUS**2
         root = b**2 - a * c
@@ -121,14 +122,14 @@ class SphereScene(Scene):
 
 
 class MeshScene(Scene):
-    def __init__(self, name, mesh, poses, device):
-        super().__init__(name, poses, device)
+    def __init__(self, name, mesh, poses, device, camera=CAMERA):
+        super().__init__(name, poses, device, camera)
         self.mesh = mesh
         self._hierarchy = wp.Mesh(
             points=wp.array(mesh.vertices, dtype=wp.vec3, device=device),
             indices=wp.array(mesh.triangles.ravel(), dtype=int, device=device),
         )
-        self._intrinsics = wp.vec4(CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy)
+        self._intrinsics = wp.vec4(camera.fx, camera.fy, camera.cx, camera.cy)
         corners = mesh.vertices.astype(np.float64)[mesh.triangles]
         self._normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         self.area = np.linalg.norm(self._normals, axis=1).sum() / 2
@@ -142,7 +143,7 @@ class MeshScene(Scene):
 
     @cached_property
     def _depths(self):
-        hits = cast_rays_at_mesh(self.mesh, CAMERA, self.poses, device=self.device, depth_only=True)
+        hits = cast_rays_at_mesh(self.mesh, self.camera, self.poses, device=self.device, depth_only=True)
         return hits.depth.numpy()
 
     def distances(self, points):
@@ -158,8 +159,8 @@ class MeshScene(Scene):
             self._matrices(self.poses),
             self._matrices([inverse(pose) for pose in self.poses]),
             self._intrinsics,
-            float(CAMERA.width),
-            float(CAMERA.height),
+            float(self.camera.width),
+            float(self.camera.height),
             wp.array(samples.points.astype(np.float32), dtype=wp.vec3, device=self.device),
             wp.array(samples.normals.astype(np.float32), dtype=wp.vec3, device=self.device),
             WELL_SEEN_COSINE,
@@ -179,7 +180,7 @@ class MeshScene(Scene):
     def is_observed(self):
         """Which of the samples in sight the depth images observed."""
         marks = PointMarks(self.in_sight.points, self.in_sight.normals, self.mesh, device=self.device)
-        upload = FrameUploader(CAMERA, device=self.device)
+        upload = FrameUploader(self.camera, device=self.device)
         for first in range(0, len(self.poses), MAX_BATCH):
             marks.mark(upload(self.depths[first : first + MAX_BATCH], self.poses[first : first + MAX_BATCH]))
         return marks.observed()
@@ -258,13 +259,29 @@ def table_mesh():
     return Mesh(vertices=whole.vertices.astype(np.float32), triangles=whole.faces.astype(np.int32))
 
 
-def make_scene(name, options, device):
+def camera_of_width(width):
+    """Return the camera with images of another width, and as many more or fewer rows."""
+    scale = width / CAMERA.width
+    return PinholeCamera(
+        width=width,
+        height=round(scale * CAMERA.height),
+        fx=scale * CAMERA.fx,
+        fy=scale * CAMERA.fy,
+        cx=scale * (CAMERA.cx + 0.5) - 0.5,
+        cy=scale * (CAMERA.cy + 0.5) - 0.5,
+    )
+
+
+def make_scene(name, options, device, *, camera=CAMERA, all_round=False):
+    """Return a scene of ``options.views`` frames; a table is seen from above alone unless from ``all_round``."""
     if name == "sphere":
         poses = poses_around(options.views, centre=SPHERE_CENTRE, nearest=0.9, farthest=1.1)
-        return SphereScene(name, poses, device)
+        return SphereScene(name, poses, device, camera)
     if name == "suzanne":
         mesh = suzanne_mesh(options.mesh)
         centre = (mesh.vertices.max(0) + mesh.vertices.min(0)) / 2
-        return MeshScene(name, mesh, poses_around(options.views, centre=centre, nearest=0.9, farthest=1.1), device)
-    around = {"centre": (0.0, 0.0, 0.42), "nearest": 0.6, "farthest": 1.5, "lowest": 0.05, "highest": 0.97}
-    return MeshScene(name, table_mesh(), poses_around(options.views * 4 // 3, **around), device)
+        poses = poses_around(options.views, centre=centre, nearest=0.9, farthest=1.1)
+        return MeshScene(name, mesh, poses, device, camera)
+    around = {"centre": (0.0, 0.0, 0.42), "nearest": 0.6, "farthest": 1.5}
+    around |= {"lowest": -0.97 if all_round else 0.05, "highest": 0.97}
+    return MeshScene(name, table_mesh(), poses_around(options.views * 4 // 3, **around), device, camera)
