@@ -6,8 +6,8 @@ distances in millimetres: of the mesh from the truth, of what frames saw of the 
 chamfer distance; of the truth's sharp edges that frames saw from the mesh, and of the mesh from the truth where that is
 smooth, beyond two of the smallest voxels from an edge.
 
-Last comes the question itself: of the vertices of marching cubes' mesh on the smallest voxels, how many does dual
-contouring take for the same error, on coarser voxels, or decimated, when marching cubes' is decimated too?
+Last comes the question itself: of the vertices of marching cubes' mesh on some voxels, how many does dual contouring
+take for the same error, on voxels as large as it needs, or decimated, when marching cubes' is decimated too?
 """
 
 import tempfile
@@ -113,13 +113,23 @@ def measure_vertices(device, options, datasets, print_row):
     for dataset in datasets:
         print_row("scene", "voxel (mm)", "mesher", "triangles kept", "vertices", *(f"{name} (mm)" for name in ERRORS))
         coarser, decimated = measure_recording(dataset, options, device, print_row)
-        reference = coarser[CUBES][0]
-        print_row("scene", "for marching cubes' error", "mesher", "way", "of its vertices")
-        for name in reference[1]:
-            for mesher in coarser:
-                for way, found in (("coarser voxels", coarser[mesher]), ("decimated", decimated[mesher])):
-                    if mesher == CUBES and way == "coarser voxels":
-                        continue
+        print_row("scene", "marching cubes' error", "at (mm)", "mesher", "way", "of its vertices")
+        sizes = sorted(options.voxel_sizes)
+        # On the largest voxels nothing tells how much coarser still might do.
+        for number, size in enumerate(sizes[:-1] or sizes):
+            vertices, lengths = coarser[CUBES][number]
+            for name in lengths:
+                for mesher, way, found in _alternatives(coarser, decimated, with_decimated=number == 0):
                     # A little more than its error, which else marching cubes itself would miss by rounding.
-                    needed, bound = vertices_for(found, name, 1.0001 * reference[1][name])
-                    print_row(dataset.folder.name, name, mesher, way, f"{bound}{100 * needed / reference[0]:.0f} %")
+                    needed, bound = vertices_for(found, name, 1.0001 * lengths[name])
+                    share = f"{bound}{100 * needed / vertices:.0f} %"
+                    print_row(dataset.folder.name, name, f"{1000 * size:g}", mesher, way, share)
+
+
+def _alternatives(coarser, decimated, *, with_decimated):
+    """Yield the mesher, the way, and the meshes that take the place of marching cubes' on one size of voxels."""
+    for mesher in coarser:
+        if mesher != CUBES:
+            yield mesher, "coarser voxels", coarser[mesher]
+        if with_decimated:
+            yield mesher, "decimated", decimated[mesher]
