@@ -103,6 +103,6 @@ def leaving(window):
         "classes": [name for name in dir(bpy.types) if "scanback" in name.lower()],
         "operators": dir(bpy.ops.scanback),
         "modules": [name for name in sys.modules if MODULE in name],
-        "path": [entry for entry in sys.path if "scanback" in entry or ".local" in entry],
+        "path": [entry for entry in sys.path if "scanback" in entry],
         "objects": len(bpy.data.objects),
     }
