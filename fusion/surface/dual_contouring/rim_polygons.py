@@ -126,31 +126,31 @@ def write_fans(
     """Write the triangles around a rim edge from a ``number`` on, and return the next one's."""
     layer = 8 * slot + voxel[2]
     bit = 8 * voxel[1] + voxel[0]
+    around = wp.vec4i()
+    middles = wp.vec4i()
+    for cell in range(4):
+        if is_seen(seen, cell):
+            around[cell] = vertex_in_cell(grid, slot, voxel, axis, cell)
+            middles[cell] = first_rim + rim_vertex(grid, layer, axis, bit, cell)
     for side in range(4):
         following = (side + 1) & 3
         before = is_seen(seen, side)
         after = is_seen(seen, following)
-        if before or after:
-            middle = first_rim + rim_vertex(grid, layer, axis, bit, wp.where(before, side, following))
-            first = vertex_in_cell(grid, slot, voxel, axis, side)
-            second = vertex_in_cell(grid, slot, voxel, axis, following)
-            if before and after:
-                if pins[side] >= 0:
-                    pin = first_pin + pins[side]
-                    number = set_triangle(triangles, number, middle, first, pin, flipped)
-                    number = set_triangle(triangles, number, middle, pin, second, flipped)
-                else:
-                    number = set_triangle(triangles, number, middle, first, second, flipped)
-            elif pins[side] >= 0 or before == flipped:
-                # Of both fans' ends at the curve, one is its fan's first as the surface faces.
-                last = first_pin + pins[side]
-                if pins[side] < 0:
-                    cell = wp.where(before, side, following)
-                    last = first_rim + rim_vertex_across(grid, slot, voxel, axis, cell, side)
-                if before:
-                    number = set_triangle(triangles, number, middle, first, last, flipped)
-                else:
-                    number = set_triangle(triangles, number, middle, last, second, flipped)
+        if before and after:
+            if pins[side] >= 0:
+                pin = first_pin + pins[side]
+                number = set_triangle(triangles, number, middles[side], around[side], pin, flipped)
+                number = set_triangle(triangles, number, middles[side], pin, around[following], flipped)
+            else:
+                number = set_triangle(triangles, number, middles[side], around[side], around[following], flipped)
+        elif (before or after) and (pins[side] >= 0 or before == flipped):
+            # Of both fans' ends at the curve, one is its fan's first as the surface faces.
+            cell = wp.where(before, side, following)
+            last = first_pin + pins[side]
+            if pins[side] < 0:
+                last = first_rim + rim_vertex_across(grid, slot, voxel, axis, cell, side)
+            # Counter-clockwise the cell comes before the face that follows it, and after the one before it.
+            number = set_triangle(triangles, number, middles[cell], around[cell], last, flipped != after)
     return number
 
 
