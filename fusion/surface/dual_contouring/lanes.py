@@ -1,8 +1,8 @@
 """C++ that works on several cells or quads at once: the same source is vector instructions on the CPU, not on CUDA.
 
-``V`` are floats, ``I`` ints and ``L`` 64-bit words, one in each lane; ``to_floats``, ``to_ints`` and ``truncate``
-convert them, ``load`` reads floats that lie side by side, ``root`` is the square root, ``any`` tells whether a
-comparison holds in any lane, and ``lanes_of`` gives their lanes.
+``V`` are floats and ``I`` ints, one in each lane; ``to_floats`` and ``truncate`` convert them, ``load`` reads floats
+that lie side by side, ``root`` is the square root, ``any`` tells whether a comparison holds in any lane, and
+``lanes_of`` gives their lanes.
 """
 
 ONE_LANE_IN_CPP = "using V = float;\n"
@@ -15,9 +15,7 @@ LANES_IN_CPP = f"""
     constexpr int LANES = 1;
     using V = float;
     using I = int;
-    using L = wp::uint64;
     auto to_floats = [](I x) {{ return (float)x; }};
-    auto to_ints = [](L x) {{ return (int)(unsigned int)x; }};
     auto truncate = [](V x) {{ return (int)x; }};
     auto load = [](const float *x) {{ return *x; }};
     auto root = [](V x) {{ return sqrtf(x); }};
@@ -26,9 +24,7 @@ LANES_IN_CPP = f"""
     constexpr int LANES = {LANES};
     typedef float V __attribute__((ext_vector_type(LANES)));
     typedef int I __attribute__((ext_vector_type(LANES)));
-    typedef unsigned long long L __attribute__((ext_vector_type(LANES)));
     auto to_floats = [](I x) {{ return __builtin_convertvector(x, V); }};
-    auto to_ints = [](L x) {{ return __builtin_convertvector(x, I); }};
     auto truncate = [](V x) {{ return __builtin_convertvector(x, I); }};
     auto load = [](const float *x) {{ V all; __builtin_memcpy(&all, x, sizeof all); return all; }};
     auto root = [](V x) {{ return __builtin_elementwise_sqrt(x); }};
@@ -39,7 +35,6 @@ LANES_IN_CPP = f"""
         const float *operator()(const V &x) const {{ return (const float *)&x; }}
         int *operator()(I &x) const {{ return (int *)&x; }}
         const int *operator()(const I &x) const {{ return (const int *)&x; }}
-        wp::uint64 *operator()(L &x) const {{ return (wp::uint64 *)&x; }}
     }} lanes_of;
 """
 """C++ for the top of a native function: as many lanes as a vector instruction has, on CUDA one."""

@@ -28,11 +28,13 @@ _SPLIT_LAYER_IN_CPP = (
         quad += filled;
         filled = 0;
     };
+    #pragma unroll
     for (int axis = 0; axis < 3; ++axis) {
         const int second = axis == 2 ? 0 : axis + 1, third = axis == 0 ? 2 : axis - 1;
         const auto &complete = axis == 0 ? grid.complete_x : axis == 1 ? grid.complete_y : grid.complete_z;
         for (wp::uint64 left = complete.data[layer]; left != 0; left &= left - 1) {
             const int bit = wp::bit_count((left - 1) & ~left);
+            #pragma unroll
             for (int corner = 0; corner < 4; ++corner) {
                 // Corners 1 and 2 are one back along the second axis, 2 and 3 along the third.
                 const wp::vec3 &place = places.data[corners.data[quad + filled][corner]];

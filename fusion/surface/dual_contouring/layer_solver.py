@@ -17,7 +17,7 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 _GATHER_IN_CPP = """
     const bool packed = voxels.packed.shape[0] > 0;
     V distance[8], red[8], green[8], blue[8], colored[8];
-    L held[8];
+    I held[8], colors_held[8];  // the halves of packed voxels
     auto gather = [&](int lane, int bit) {
         const int x = bit & 7, y = bit >> 3;
         size_t voxel[8];
@@ -31,7 +31,9 @@ _GATHER_IN_CPP = """
         for (int corner = 0; corner < 8; ++corner) {
             const size_t at = voxel[corner];
             if (packed) {
-                lanes_of(held[corner])[lane] = voxels.packed.data[at];
+                const wp::uint64 bits = voxels.packed.data[at];
+                lanes_of(held[corner])[lane] = (int)(unsigned int)bits;
+                lanes_of(colors_held[corner])[lane] = (int)(bits >> 32);
             } else {
                 const float weight = voxels.color_weight.data[at], inverse = weight > 0.0f ? 1.0f / weight : 0.0f;
                 lanes_of(distance[corner])[lane] = voxels.distance_sum.data[at] / voxels.weight.data[at];
@@ -45,8 +47,8 @@ _GATHER_IN_CPP = """
     auto unpack = [&]() {
         const V none = 0.0f, one = 1.0f;
         for (int corner = 0; corner < 8; ++corner) {
-            const I low = to_ints(held[corner]), high = to_ints(held[corner] >> 32);
-            distance[corner] = to_floats((low << 16) >> 16) * (1.0f / 32767.0f);
+            const I high = colors_held[corner];
+            distance[corner] = to_floats((held[corner] << 16) >> 16) * (1.0f / 32767.0f);
             red[corner] = to_floats(high & 255);
             green[corner] = to_floats((high >> 8) & 255);
             blue[corner] = to_floats((high >> 16) & 255);

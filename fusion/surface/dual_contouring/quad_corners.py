@@ -32,12 +32,14 @@ _CORNERS_IN_CPP = """
     const bool with_gaps = gaps.shape[0] > 0;
     const wp::uint64 *edges = grid.cells.edges.data + 3 * (size_t)layer;
     int first_edge = grid.cells.starts.data[layer].c[0];
+    #pragma unroll
     for (int axis = 0; axis < 3; ++axis) {
         const int second = axis == 2 ? 0 : axis + 1, third = axis == 0 ? 2 : axis - 1;
         const auto &complete = axis == 0 ? grid.complete_x : axis == 1 ? grid.complete_y : grid.complete_z;
         for (wp::uint64 left = complete.data[layer]; left != 0; left &= left - 1, ++quad) {
             const int bit = wp::bit_count((left - 1) & ~left);
             float sum[3] = {0.0f, 0.0f, 0.0f};
+            #pragma unroll
             for (int corner = 0; corner < 4; ++corner) {
                 // Counter-clockwise about the edge: here, one back along the second axis, along both, along the third.
                 const int back_second = corner == 1 || corner == 2, back_third = corner >> 1;
