@@ -198,7 +198,7 @@ class SCANBACK_PG_original(bpy.types.PropertyGroup):  # noqa: N801
     """An object whose place the reconstruction in ``folder`` takes, whatever it is called."""
 
     item: bpy.props.PointerProperty(type=bpy.types.Object)
-    folder: bpy.props.StringProperty(subtype="DIR_PATH")
+    folder: bpy.props.StringProperty(subtype="DIR_PATH", options=PATH_OPTIONS)
     is_kept_from_renders: bpy.props.BoolProperty()
 
 

@@ -171,6 +171,9 @@ def test_who_the_originals_are_outlives_names_undo_and_the_file(
         bpy.ops.wm.open_mainfile(filepath=str(tmp_path / name))
         assert names() == ["Renamed", "Second"]
         assert bpy.context.scene.scanback.originals[0].folder.startswith("//")
+    bpy.context.scene.scanback.originals.clear()
+    _note(sphere_scan, "Renamed", "Second")  # as a scan in a saved file does
+    assert names() == ["Renamed", "Second"]
     bpy.data.objects["Second"].name = "Other"
     bpy.data.objects["Renamed"].name = "Second"
     assert names() == ["Other", "Second"]

@@ -52,12 +52,6 @@ def looking(window):
     yield from window.scroll(-30)
     yield 1.0
     window.shot("looking")
-    region = window.region(window.area("VIEW_3D"), "UI")
-    for by in (0, 2, 0):  # the button that leads to the next frame; what it says comes when the mouse rests
-        window.event("MOUSEMOVE", "NOTHING", x=region.x + region.width - 47 + by, y=region.y + 113)
-        yield 0.2
-    yield 2.0
-    window.shot("hover")
     camera = bpy.context.scene.camera
     window.seen["looking"] = [camera["frame"], list(camera["nearest_frames"])[:3]]
 
