@@ -15,7 +15,14 @@ from datagen.rigid import Matrix, rigid
 from fusion.pose.pose_distance import first_apart, pose_distances
 from fusion.pose.small_query import SmallQuery, small_query
 from fusion.pose.view_index import ViewIndex
-from fusion.pose.view_search import APART, Alignments, align_all_over, align_best_again, align_with_similar_views
+from fusion.pose.view_search import (
+    APART,
+    Alignments,
+    align_all_over,
+    align_best_again,
+    align_where_they_are,
+    align_with_similar_views,
+)
 
 LARGEST_DIFFERENCE = 0.1
 """Depths differ by at most this share of the query's median depth; more, or no surface at all, counts as much."""
@@ -26,6 +33,10 @@ AMBIGUOUS_MARGIN = 0.25
 SURE_COST = 1 / 3
 """Of the alignment with the nearest view: where less than two thirds agree, what was tried may have been nowhere near.
 Pixels at edges, and what one of the two does not see, disagree in a right one, too."""
+
+_CLEAR_MARGIN = 0.5
+"""The same of poses that the model was seen again from, before views all over it are tried. Of 280 views of random
+solids two wrong poses had less, and none had more."""
 
 OTHERS = 3
 _OTHERS_MARGIN = 1.0
@@ -73,8 +84,10 @@ def find_nearest_pose(
     query = small_query(index, depth, mask)
     similar = align_with_similar_views(index, query)
     tried = align_best_again(index, query, similar)
-    if tried.costs[0] > SURE_COST or tried.margin(depth=query.typical_depth) < AMBIGUOUS_MARGIN:
-        tried = align_all_over(index, query, similar)
+    if not _is_sure(tried, query, margin=AMBIGUOUS_MARGIN):
+        tried = align_where_they_are(index, query, tried)
+        if not _is_sure(tried, query, margin=_CLEAR_MARGIN):
+            tried = align_all_over(index, query, similar)
     estimate = rigid(tried.poses[0], source="alignment with the model's views")
     distances = pose_distances(index.world_from_camera, estimate, depth=query.typical_depth)
     nearest = np.argsort(distances, kind="stable")[:count]
@@ -86,6 +99,10 @@ def find_nearest_pose(
         margin=tried.margin(depth=query.typical_depth),
         others=_others(tried, depth=query.typical_depth),
     )
+
+
+def _is_sure(tried: Alignments, query: SmallQuery, *, margin: float) -> bool:
+    return bool(tried.costs[0] <= SURE_COST and tried.margin(depth=query.typical_depth) >= margin)
 
 
 def _others(tried: Alignments, *, depth: float) -> NDArray[np.float64]:

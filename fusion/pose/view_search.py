@@ -1,9 +1,10 @@
 """Where a query can have been taken: it is aligned with views of the model, and those that fit best are kept.
 
 First with the few views whose patches are most like the query's: that is quick, and nearly always enough. Where they do
-not decide it, since something hides a part, or two sides look alike, or no view was taken from near there, the query is
-aligned with views all over the model, and the model is seen again from where the best of these alignments have the
-camera, so that all of them are compared with the query pixel by pixel.
+not decide it, since something hides a part, or two sides look alike, or no view was taken from near there, the model is
+seen again from where the best two have the camera, which often is. Else the query is aligned with views all over the
+model, and the model seen again from where the best of these alignments have the camera, so that all of them are
+compared with the query pixel by pixel.
 """
 
 from dataclasses import dataclass
@@ -91,13 +92,26 @@ def align_all_over(index: ViewIndex, query: SmallQuery, known: Alignments) -> Al
     # Costs of the two kinds cannot be compared: the best of each are taken in turn, first of those from nearer views.
     turns = np.argsort(np.concatenate([np.arange(len(every.poses)), np.arange(len(known.poses)) + 0.5]))
     poses = np.concatenate([every.poses, known.poses])[turns]
-    return _compared(index, query, poses[first_apart(poses, apart=APART, depth=query.typical_depth, most=_KEPT)])
+    best = poses[first_apart(poses, apart=APART, depth=query.typical_depth, most=_KEPT)]
+    # Twice, for it may be moved far.
+    return _compared(index, query, best, gates=_AGAIN_GATES)
 
 
-def _compared(index: ViewIndex, query: SmallQuery, poses: NDArray[np.float64]) -> Alignments:
-    """Align a query with the model as seen from ``poses`` (k, 4, 4) themselves; twice, for it may be moved far."""
+def align_where_they_are(index: ViewIndex, query: SmallQuery, known: Alignments) -> Alignments:
+    """Align a query with the model as seen from the best of ``known`` poses, and the best elsewhere.
+
+    What the nearest view does not see of the model, and the query does, makes the cost of a right pose high until then.
+    """
+    best = known.poses[first_apart(known.poses, apart=APART, depth=query.typical_depth, most=2)]
+    return _compared(index, query, best, gates=_AGAIN_GATES[-1:])
+
+
+def _compared(
+    index: ViewIndex, query: SmallQuery, poses: NDArray[np.float64], *, gates: tuple[float, ...]
+) -> Alignments:
+    """Align a query with the model as seen from ``poses`` (k, 4, 4) themselves, once for each of the ``gates``."""
     same = np.tile(np.eye(4), (len(poses), 1, 1))
-    for gate in _AGAIN_GATES:
+    for gate in gates:
         seen = seen_from(index, poses)
         found = register(
             seen,
