@@ -143,7 +143,7 @@ def contenders(trial, model, options):
     ours = {f"scanback, {','.join(trial.stages)}": scanback}
     if trial.stages == ("depth",):
         ours["scanback, depth, one start"] = scanback_one_start
-    if options.no_peers or trial.sees == "mask":
+    if options.no_peers or trial.sees != "depth":
         return ours
     peers = {
         "Open3D ICP, point to plane": open3d_icp,

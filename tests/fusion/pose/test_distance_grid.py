@@ -26,10 +26,24 @@ def nodes_of(grid):
 
 
 def test_distances_are_those_of_the_ball(device):
-    grid = distance_grid(ball(), device=device, nodes=48)
+    mesh = ball()
+    grid = distance_grid(mesh, device=device, nodes=48)
+    corners = mesh.vertices[mesh.triangles].astype(np.float64)
+    middles = corners.mean(axis=1)
+    # Triangles lie within the ball by their sagitta; from a vertex no point of them is farther than the gap.
+    sagitta = RADIUS - np.linalg.norm(middles, axis=1).min()
+    gap = np.linalg.norm(corners - middles[:, None], axis=2).max()
     exact = np.linalg.norm(nodes_of(grid), axis=-1) - RADIUS
-    # Far from the surface the distance is that to the foot of a node beside it, half a cell's diagonal from the best.
-    np.testing.assert_allclose(grid.distances.numpy(), exact, atol=np.sqrt(3) / 2 * grid.spacing)
+    sides, distances = np.sign(exact), np.abs(grid.distances.numpy())
+    near = np.abs(exact) < grid.spacing - gap
+    assert near.sum() > 1000
+    assert (np.sign(grid.distances.numpy())[np.abs(exact) > sagitta] == sides[np.abs(exact) > sagitta]).all()
+    np.testing.assert_allclose(distances[near], np.abs(exact[near]), atol=sagitta + 1e-6)
+    # Farther out it is the distance to a point of the ball, and never too small.
+    assert (distances > np.abs(exact) - sagitta - 1e-6).all()
+    assert (distances < np.abs(exact) + gap + 2 * 3**0.5 * grid.spacing).all()
+    # Half a cell's diagonal is what the nearest node is off by where nothing is known of the surface in the cell.
+    assert np.sqrt(np.mean((distances - np.abs(exact)) ** 2)) < np.sqrt(3) / 2 * grid.spacing
 
 
 @pytest.mark.parametrize("hole_below", [-0.25, -0.2])
