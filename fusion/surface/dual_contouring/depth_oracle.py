@@ -12,10 +12,11 @@ Every frame's images are kept, and for each part of a block which frames are ask
 from functools import cache
 from typing import Any
 
+import numpy as np
 import warp as wp
 
 from datagen.errors import InputError
-from fusion.devices import Kernel, free_memory
+from fusion.devices import Kernel, free_memory, map_on_cores
 from fusion.frames.frame_batch import FrameBatch
 from fusion.frames.frame_matrices import frame_matrices
 from fusion.integration.options import Integration
@@ -176,9 +177,9 @@ class DepthField:
             self._views = _empty_views(volume, batch, self.frames, weighted=weighted)
         views = self._views
         images = slice(self._count, self._count + len(batch))
-        wp.copy(views.depth[images], batch.depth)
+        _copy_images(views.depth[images], batch.depth)
         if weights is not None:
-            wp.copy(views.pixel_weights[images], weights)
+            _copy_images(views.pixel_weights[images], weights)
         matrices = frame_matrices(batch, volume.voxel_size)
         wp.launch(
             _keep_cameras,
@@ -204,6 +205,15 @@ class DepthField:
         for name in ("chosen", "counts", "slots", "columns"):
             setattr(state, name, getattr(choice, name))
         return Oracle(value, state_type, state)
+
+
+def _copy_images(kept: wp.array, images: wp.array) -> None:
+    """Copy images, on the CPU on all cores: memory that is written for the first time takes longer than copying."""
+    if kept.device.is_cuda:
+        wp.copy(kept, images)
+        return
+    targets, sources = kept.numpy(), images.numpy()
+    map_on_cores(lambda image: np.copyto(targets[image], sources[image]), range(len(sources)))
 
 
 def _require_memory(volume: Volume, batch: FrameBatch, frames: int, *, weighted: bool) -> None:
