@@ -12,7 +12,7 @@ from fusion.devices import resolve_device
 from fusion.evaluation import observed_surface
 from fusion.frames import color_confidence, depth_tiles
 from fusion.integration import integrate, pixel_weights
-from fusion.surface.dual_contouring import depth_oracle, frame_choice
+from fusion.surface.dual_contouring import depth_oracle, frame_scores
 from fusion.surface.dual_contouring.dual_contouring import oracle_kernels
 from fusion.surface.dual_contouring.oracle import Oracle
 
@@ -43,7 +43,7 @@ def kernels_made_for_oracles():
     """Yield those of dual contouring that ask for the depth images' field."""
     for depth_type, weighted in itertools.product((wp.uint16, wp.float32), (False, True)):
         value, state_type = depth_oracle.depth_value(depth_type, weighted=weighted)
-        choice = frame_choice.score_kernel(depth_type, weighted=weighted)
+        choice = frame_scores.score_kernel(depth_type, weighted=weighted)
         for kernel in [choice, *oracle_kernels(Oracle(value, state_type, None))]:
             name = f"{kernel.key.split('__')[-1]}-{depth_type.__name__}-{'weighted' if weighted else 'constant'}"
             yield pytest.param(kernel, id=name)

@@ -23,7 +23,8 @@ from fusion.integration.options import Integration
 from fusion.integration.pixel_weights import pixel_weights
 from fusion.integration.visible_blocks import PARTS
 from fusion.surface.dual_contouring.depth_views import LOOK_IN_CPP, declared, views_type
-from fusion.surface.dual_contouring.frame_choice import MOST_FRAMES, choose_frames, score_kernel
+from fusion.surface.dual_contouring.frame_choice import MOST_FRAMES, choose_frames
+from fusion.surface.dual_contouring.frame_scores import score_kernel
 from fusion.surface.dual_contouring.lanes import lanes_for
 from fusion.surface.dual_contouring.oracle import NOT_KNOWN, Oracle
 from fusion.volume.tsdf_volume import Volume
