@@ -30,7 +30,7 @@ Each query gets the nearest view first, by geometry alone, then what refines it:
   epipolar    features shared with the nearest frames (or renderings): needs colour and texture
   silhouette  the mask's outline: needs --mask, or depth that shows the object alone
   depth       the depth against the model's surface: needs depth; the most exact
-Without --stages it is nearest,depth, or nearest,silhouette where there is no depth.
+Without --stages it is nearest,depth, or nearest,epipolar,silhouette where there is no depth, epipolar given colour.
 """
 
 EPILOG = """\
@@ -40,7 +40,7 @@ examples:
   fusion locate mug table --mask derived                           the mask from depth: what stands on a support
   fusion locate mug.ply --color c.png --depth d.png --depth-scale 0.001 --intrinsics 615 615 320 240 --mask m.png
   fusion locate obj_000005.ply scene --model-scale 0.001 --mask 'mask_visib/{frame:06d}_000000.png'   BOP: millimetres
-  fusion locate mug.obj --color c.png --mask m.png --intrinsics camera.json      no depth: by the silhouette
+  fusion locate mug.obj --color c.png --mask m.png --intrinsics camera.json      no depth: by features and silhouette
   fusion locate mug table --mask derived --picture located.png     the model's outline drawn over each query
 
 results (poses.json, --json): the world's frame is the object's frame: that of the reconstruction, or of the mesh's

@@ -135,7 +135,8 @@ def locate_queries(
 
 
 def _stages(options: LocateOptions, source: QuerySource) -> tuple[StageName, ...]:
-    stages = default_stages(has_depth=source.has_depth) if options.stages is None else parse_stages(options.stages)
+    usual = default_stages(has_depth=source.has_depth, has_color=source.has_color)
+    stages = usual if options.stages is None else parse_stages(options.stages)
     lacking = {
         "depth": "" if source.has_depth else "depth, which the queries have none of; use nearest,silhouette",
         "epipolar": "" if source.has_color else "colour, which the queries have none of; leave epipolar out",

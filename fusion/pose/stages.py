@@ -31,9 +31,11 @@ def parse_stages(text: str) -> tuple[StageName, ...]:
     return tuple(name for wanted in names for name in STAGES if name == wanted)
 
 
-def default_stages(*, has_depth: bool) -> tuple[StageName, ...]:
-    """Return the stages that queries with depth, or with a mask alone, are located by."""
-    return ("nearest", "depth") if has_depth else ("nearest", "silhouette")
+def default_stages(*, has_depth: bool, has_color: bool) -> tuple[StageName, ...]:
+    """Return the stages that queries with depth, or else with a mask and perhaps colour, are located by."""
+    if has_depth:
+        return ("nearest", "depth")
+    return ("nearest", "epipolar", "silhouette") if has_color else ("nearest", "silhouette")
 
 
 def refine(
