@@ -6,10 +6,15 @@ import os
 import signal
 import threading
 import time
+from collections.abc import Callable
+
+import psutil
 
 GRACE_SECONDS = 10.0
 EXIT_INTERRUPTED = 130
 STANDARD_INPUT = 0
+LOOK_SECONDS = 0.2
+"""How often a process looks whether its parent lives."""
 
 
 def end_with_input() -> None:
@@ -20,7 +25,11 @@ def end_with_input() -> None:
 
     The input is kept from those processes: they find theirs empty. On Windows a process that shared a pipe with a
     thread which waits for it would wait as well, before its first line runs.
+
+    Call it in the main thread.
     """
+    # A shell that starts a program in the background has it ignore interrupts, and so does all that the program starts.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     watched = None
     with contextlib.suppress(OSError):  # there is no input: it has ended
         watched = os.dup(STANDARD_INPUT)  # which is not inherited
@@ -41,3 +50,24 @@ def _wait_for_end(watched: int | None) -> None:
         _thread.interrupt_main()
     time.sleep(GRACE_SECONDS)
     os._exit(EXIT_INTERRUPTED)
+
+
+def end_with_parent(in_order: Callable[[], None]) -> None:
+    """End this process soon after its parent's death, whatever it is at; ``in_order`` is called before, in a thread.
+
+    For a main thread that does not read its input for long, as while it renders a frame. A thread that read it instead
+    would hold up, on Windows, what only looks at it, as libraries do when they are loaded.
+    """
+    parent = psutil.Process().parent()
+    if parent is not None:
+        threading.Thread(target=_end_after, args=(parent, in_order), name="end with parent", daemon=True).start()
+
+
+def _end_after(parent: psutil.Process, in_order: Callable[[], None]) -> None:
+    # On Windows the number of a dead parent stays, elsewhere a dead parent may be a zombie, which psutil calls running.
+    while os.getppid() == parent.pid and parent.is_running():
+        time.sleep(LOOK_SECONDS)
+    try:
+        in_order()
+    finally:
+        os._exit(EXIT_INTERRUPTED)

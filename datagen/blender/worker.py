@@ -3,8 +3,9 @@
 Standard input brings one JSON object a line: first the job, then one task each. Standard output gives JSON lines and
 nothing else: one with ``ready`` for the job; for each task one with ``rendered``, when the next task may come, and one
 with ``done``, when its files are there. What Blender prints goes to standard error. A frame's files are written while
-the next frame renders, and no more than one frame waits. The end of standard input ends the process, which removes its
-SCRATCH folder then, so that nothing is left behind when its parent dies.
+the next frame renders, and no more than one frame waits. The end of standard input ends the process when it has done
+what it was told; the death of its parent ends it at once, whatever it renders. It removes its SCRATCH folder then, so
+that nothing is left behind.
 """
 
 import contextlib
@@ -21,6 +22,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
 from datagen.errors import InputError
+from datagen.parent_process import end_with_parent
 from datagen.rendering.scratch import hold
 from datagen.scene_spec.scene import Scene
 
@@ -66,6 +68,7 @@ def _serve(reports: Reports, scratch: Path) -> int:
     session = _open_session(json.loads(first_line), scratch)
     reports.send({"ready": session.description()})
     with ThreadPoolExecutor(max_workers=1) as writer:
+        end_with_parent(partial(_leave_in_order, writer, scratch))
         being_written: list[Future[None]] = []
         for line in sys.stdin:
             task = json.loads(line)
@@ -74,6 +77,12 @@ def _serve(reports: Reports, scratch: Path) -> int:
             reports.send({"rendered": task})
             being_written = [writer.submit(_finish, write, reports, task)]
     return 0
+
+
+def _leave_in_order(writer: ThreadPoolExecutor, scratch: Path) -> None:
+    """Let the files that are being written become whole, and remove what else there is."""
+    writer.shutdown()
+    shutil.rmtree(scratch, ignore_errors=True)
 
 
 def _open_session(job: dict[str, Any], scratch: Path) -> "RenderSession":

@@ -14,8 +14,10 @@ from datagen.blender_program import PROGRAM_VARIABLE, module_command
 from datagen.progress import as_json_lines
 
 WAITING = """
-import sys, threading, time
+import signal, sys, threading, time
 from datagen.parent_process import end_with_input
+if sys.argv[2] == "background":  # where shells have programs ignore interrupts
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 end_with_input()
 print("ready", flush=True)
 try:
@@ -33,10 +35,12 @@ def test_progress_is_one_object_a_line(capsys: pytest.CaptureFixture[str]) -> No
     assert lines == [{"stage": "Rendering", "done": done, "total": 2} for done in (0, 1, 2)]
 
 
-@pytest.mark.parametrize("waiting_for", ["lock", "time"])
-def test_the_end_of_the_input_interrupts(waiting_for: str) -> None:
+@pytest.mark.parametrize(
+    ("waiting_for", "ground"), [("lock", "foreground"), ("time", "foreground"), ("lock", "background")]
+)
+def test_the_end_of_the_input_interrupts(waiting_for: str, ground: str) -> None:
     with subprocess.Popen(
-        [sys.executable, "-c", WAITING, waiting_for], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+        [sys.executable, "-c", WAITING, waiting_for, ground], stdin=subprocess.PIPE, stdout=subprocess.PIPE
     ) as process:
         assert process.stdin is not None
         assert process.stdout is not None
