@@ -5,6 +5,7 @@ from typing import Any
 
 import bpy
 import numpy as np
+from mathutils import Vector
 
 from ..errors import ReconstructionError
 from ..files.reconstruction_files import Pose
@@ -52,7 +53,11 @@ def _pose_of_viewport(context: Any) -> Pose:
     space = context.space_data
     if space is None or space.type != "VIEW_3D":
         raise ReconstructionError("There is no 3D viewport here; locate the scene's camera instead")
-    return np.array(space.region_3d.view_matrix.inverted()) @ CAMERA_OPENCV_FROM_BLENDER
+    region = space.region_3d
+    pose = np.array(region.view_matrix.inverted())
+    if region.view_perspective == "ORTHO":  # its matrix is at what is looked at: this is where perspective looks from
+        pose[:3, 3] = region.view_location + region.view_distance * (region.view_rotation @ Vector((0, 0, 1)))
+    return pose @ CAMERA_OPENCV_FROM_BLENDER
 
 
 def register() -> None:
