@@ -4,6 +4,7 @@ import sys
 from pathlib import Path
 
 import bpy
+import numpy as np
 
 MODULE = "bl_ext.user_default.scanback"
 
@@ -14,6 +15,7 @@ def steps(window):
     window.seen["policy"] = warnings()
     yield from window.open_tab("Scanback")
     yield from dropping(window)
+    yield from shading(window)
     yield from looking(window)
     yield from replaying(window)
     yield from reopening(window)
@@ -43,6 +45,38 @@ def dropping(window):
         yield 1.0
         window.seen[f"dropped {name}"] = [len(bpy.data.objects) - before, sorted(c.name for c in bpy.data.collections)]
     window.shot("dropped")
+
+
+def shading(window):
+    """See the ball's colours in each kind of shading, from near, without what is drawn over it."""
+    bpy.data.objects["mesh"].hide_set(True)
+    ball = next(item for item in bpy.data.objects if item.name.startswith("Scanback mesh"))
+    space = window.area("VIEW_3D").spaces.active
+    with window.within():
+        bpy.ops.object.select_all(action="DESELECT")
+        ball.select_set(True)
+        bpy.ops.view3d.view_selected()
+    space.overlay.show_overlays = False
+    for kind in ("SOLID", "MATERIAL", "RENDERED"):
+        space.shading.type = kind
+        yield 1.0
+        for _ in range(30):  # without a graphics card EEVEE takes a minute, and all is grey meanwhile
+            yield 3.0
+            picture = window.shot(f"shading-{kind.lower()}")
+            if coloured(picture) > 0.03:
+                break
+            picture.unlink()
+        window.seen[f"shading {kind}"] = picture.name
+    space.shading.type, space.overlay.show_overlays = "SOLID", True
+    bpy.data.objects["mesh"].hide_set(False)
+
+
+def coloured(picture):
+    """Return which share of a picture is of a strong colour."""
+    image = bpy.data.images.load(str(picture))
+    values = np.array(image.pixels[:]).reshape(-1, 4)[:, :3]
+    bpy.data.images.remove(image)
+    return float(np.mean(np.ptp(values, axis=1) > 0.4))
 
 
 def looking(window):

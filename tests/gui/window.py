@@ -75,11 +75,12 @@ class Window:
         yield 1.0
 
     def shot(self, name):
-        """Write a picture of the whole display: what is on it, not what Blender thinks is."""
+        """Write a picture of the whole display: what is on it, not what Blender thinks is. Return its path."""
         self._shots += 1
         path = self.folder / f"{self._shots:02d}-{name}.png"
         command = f"xwd -root -silent | xwdtopnm 2>/dev/null | pnmtopng 2>/dev/null > '{path}'"
         subprocess.run(command, shell=True, check=True)
+        return path
 
     def event(self, kind, value="PRESS", **where):
         """Send one event to Blender as if it came from a device."""
