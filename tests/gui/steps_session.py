@@ -1,5 +1,6 @@
 """The four steps, as somebody takes them who has Suzanne before them and a zip."""
 
+import json
 import math
 import sys
 from pathlib import Path
@@ -41,6 +42,7 @@ def steps(window):
     window.seen["files"] = sorted(path.name for path in (SCAN / "reconstruction").iterdir())
     window.seen["objects"] = [[item.name, item.type] for item in bpy.data.objects]
     yield from errors(window)
+    yield from view(window)
     yield from both_sides(window)
     yield from looking(window)
     yield from narrow(window)
@@ -60,6 +62,29 @@ def errors(window):
     yield from window.scroll(-14)
     yield 1.5
     window.shot("errors")
+
+
+def view(window):
+    """Locate what the viewport shows, which has no perspective now; with it, the viewport tells from where it looks."""
+    settings = bpy.context.scene.scanback.locate
+    settings.query, settings.refine = "VIEW", True
+    looks = window.area("VIEW_3D").spaces.active.region_3d
+    perspective = looks.view_perspective
+    with window.within():
+        assert bpy.ops.scanback.locate("INVOKE_DEFAULT") == {"FINISHED"}
+    ended = yield from window.finish_job()
+    window.shot("view-located")
+    out = SCAN / "reconstruction"
+    poses = json.loads((out / "poses.json").read_text())
+    voxel_m = json.loads((out / "reconstruction.json").read_text())["voxel_size_m"]
+    with window.within():
+        bpy.ops.view3d.view_persportho()
+    yield 1.0
+    place = list(looks.view_matrix.inverted().translation)
+    window.seen["view"] = {"ended": ended, "voxel_m": voxel_m, "poses": poses, "of": perspective, "place": place}
+    with window.within():
+        bpy.ops.view3d.view_persportho()
+    bpy.ops.scanback.dismiss()
 
 
 def both_sides(window):

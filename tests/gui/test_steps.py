@@ -1,5 +1,7 @@
 """The four steps in Blender's interface, and how alive it stays meanwhile."""
 
+import math
+
 import pytest
 
 STALL_MS = 50.0
@@ -28,6 +30,18 @@ def test_the_results_are_in_the_scene_and_on_disk(seen):
     kinds = [kind for _, kind in seen["objects"]]
     assert kinds.count("MESH") == 2  # Suzanne and her reconstruction
     assert kinds.count("CAMERA") > 12  # a camera for each of the twelve frames that were left out, and the scene's
+
+
+def test_what_the_viewport_shows_is_located_within_a_voxel(seen):
+    """It is a view of the reconstruction itself: its true pose is the one that fits best."""
+    view = seen["view"]
+    assert view["of"] == "ORTHO"
+    state, message = view["ended"]
+    assert state == "done", message
+    (found,) = view["poses"]
+    assert message == f"Nearest to this view is frame {found['nearest']} (found)"
+    located = [row[3] for row in found["refined"]["world_from_camera"][:3]]
+    assert math.dist(view["place"], located) < view["voxel_m"]
 
 
 def test_looking_through_the_nearest_frame_enters_the_cameras_view(seen):
