@@ -12,6 +12,7 @@ from typing import Any
 
 import bpy
 import numpy as np
+from tick_time import timing_ticks
 
 from blender_addon.jobs import runner
 from blender_addon.jobs.job import Pace
@@ -103,16 +104,15 @@ def _fuse_as_the_button_does(folder: Path) -> dict[str, Any]:
     seen["why not meanwhile"] = reasons.why_not_fuse(bpy.context)
     original = bpy.data.objects["Original"]
     seen["shown before"] = original.visible_get()
-    stages, longest, grew, flickered = set(), 0.0, False, False
-    while not job.is_over:
-        began = time.thread_time()
-        pace = runner.advance()
-        longest = max(longest, time.thread_time() - began)
-        stages.add(job.log.stage)
-        grows = any(item.get(PART_KEY) == LIVE_PART for item in bpy.data.objects)
-        flickered = flickered or (grows and (original.visible_get() or not original.hide_render))
-        grew = grew or grows
-        time.sleep(0.005 if pace is Pace.WAIT else 0)
+    stages, grew, flickered = set(), False, False
+    with timing_ticks() as ticks:
+        while not job.is_over:
+            pace = ticks.of(runner.advance)
+            stages.add(job.log.stage)
+            grows = any(item.get(PART_KEY) == LIVE_PART for item in bpy.data.objects)
+            flickered = flickered or (grows and (original.visible_get() or not original.hide_render))
+            grew = grew or grows
+            time.sleep(0.005 if pace is Pace.WAIT else 0)
     seen |= {"state": job.state.value, "message": job.message, "log": list(job.log.lines), "stages": sorted(stages)}
-    seen |= {"longest": longest, "grew": grew, "flickered": flickered}
+    seen |= {"longest": ticks.longest, "grew": grew, "flickered": flickered}
     return seen

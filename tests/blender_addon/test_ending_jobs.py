@@ -12,6 +12,7 @@ from typing import Any
 import bpy
 import psutil
 import pytest
+from tick_time import timing_ticks
 
 import blender_addon
 from blender_addon.jobs import runner
@@ -30,14 +31,13 @@ LONG, SHORTER = 500, 200
 
 def _finish(job: Job, *, seconds: float = PATIENCE_SECONDS) -> float:
     """Advance a job to its end as the timer does; returns the longest tick in seconds of the processor."""
-    longest, end = 0.0, time.monotonic() + seconds
-    while not job.is_over:
-        assert time.monotonic() < end, list(job.log.lines)
-        began = time.thread_time()
-        pace = runner.advance()
-        longest = max(longest, time.thread_time() - began)
-        time.sleep(0.02 if pace is Pace.WAIT else 0)
-    return longest
+    end = time.monotonic() + seconds
+    with timing_ticks() as ticks:
+        while not job.is_over:
+            assert time.monotonic() < end, list(job.log.lines)
+            pace = ticks.of(runner.advance)
+            time.sleep(0.02 if pace is Pace.WAIT else 0)
+    return ticks.longest
 
 
 def _wait_until(is_so: Callable[[], bool], *, seconds: float = PATIENCE_SECONDS) -> bool:
@@ -65,18 +65,16 @@ def test_cancelling_leaves_a_scan_that_can_be_gone_on_with(tmp_path: Path) -> No
     folder = tmp_path / "dataset"
     job = runner.start("Scan", _rendering(folder))
     frames = folder / "frames"
-    longest = 0.0
-    while not (frames.is_dir() and any(frames.glob("*.pose.txt"))):
-        began = time.thread_time()
-        runner.advance()
-        longest = max(longest, time.thread_time() - began)
-        time.sleep(0.02)
-        assert not job.is_over, job.message
+    with timing_ticks() as ticks:
+        while not (frames.is_dir() and any(frames.glob("*.pose.txt"))):
+            ticks.of(runner.advance)
+            time.sleep(0.02)
+            assert not job.is_over, job.message
     assert job.pid is not None
     family = [psutil.Process(job.pid), *psutil.Process(job.pid).children(recursive=True)]
     assert len(family) >= 2
     assert bpy.ops.scanback.cancel() == {"FINISHED"}
-    longest = max(longest, _finish(job))
+    longest = max(ticks.longest, _finish(job))
     assert job.state is State.CANCELLED
     assert longest < 0.05
     assert _wait_until(lambda: not any(_lives(process) for process in family))
