@@ -100,7 +100,9 @@ def clustered_uncertainty(
     scaled = jacobian * scale
     hessian = ((weights if bends is None else bends)[:, None] * scaled).T @ scaled
     values, vectors = np.linalg.eigh(hessian)
-    back = (vectors / np.maximum(values, 1e-12 * max(values[-1], 1e-300))) @ vectors.T
+    # Where most residuals are outliers the cost may bend downwards: what it does not fix is known by next to nothing.
+    most = float(((weights[:, None] * scaled) * scaled).sum())
+    back = (vectors / np.maximum(values, 1e-12 * max(most, 1e-100))) @ vectors.T
     _numbers, cluster = np.unique(clusters, return_inverse=True)
     count = int(cluster.max()) + 1
     slopes = np.zeros((count, 6))

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from fusion.pose.uncertainty import describe_direction, uncertainty
+from fusion.pose.uncertainty import clustered_uncertainty, describe_direction, uncertainty
 
 
 def normal_equations(points, normals):
@@ -60,6 +60,24 @@ def test_more_points_make_it_surer_by_their_root():
     points = grid()
     once = normal_equations(points, points / 0.2 + [0, 0, 1.0])
     np.testing.assert_allclose(known(once).deviations_m, 2 * known(4 * once).deviations_m)
+
+
+@pytest.mark.parametrize("bend", [-1.0, 0.0])
+def test_a_cost_of_outliers_alone_that_bends_downwards_fixes_nothing(bend):
+    rng = np.random.default_rng(2)
+    jacobian, count = rng.normal(size=(50, 6)), 50
+    clusters, weights = np.arange(count) // 5, np.full(count, 0.1)
+    found = clustered_uncertainty(
+        jacobian,
+        rng.normal(size=count),
+        weights,
+        clusters,
+        pivot_world=np.zeros(3),
+        radius_m=0.1,
+        bends=np.full(count, bend),
+    )
+    assert np.isfinite(found.covariance).all()
+    assert found.deviations_m.min() > 1e3
 
 
 def test_directions_are_named_by_what_moves():
