@@ -160,8 +160,6 @@ def _alternative(model: PoseModel, found: Matrix, other: Matrix) -> Alternative:
         axis, angle = -axis, 360 - angle
     points = model.surface_points.numpy()[:1500].astype(np.float64) + model.origin_world
     distances, _normals, sources = model.sample(points @ moved[:3, :3].T + moved[:3, 3])
-    off = np.where(sources > 0, np.abs(distances), np.inf)
     within = max(_SYMMETRIC_VOXELS * model.voxel_size, _SYMMETRIC_SHARE * model.diameter)
-    return Alternative(
-        world_from_camera=other, turn_deg=angle, axis=axis, symmetric=bool(np.quantile(off, _SYMMETRIC_MOST) < within)
-    )
+    on_surface = float(np.mean((sources > 0) & (np.abs(distances) < within)))
+    return Alternative(world_from_camera=other, turn_deg=angle, axis=axis, symmetric=on_surface >= _SYMMETRIC_MOST)
