@@ -138,4 +138,7 @@ def _fail(reports: Reports, error: Exception, task: dict[str, Any] | None = None
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    status = main()
+    sys.stderr.flush()
+    # All is tidied up; Blender 4.5 as a module may wait for a thread of its own for ever when Python ends in order.
+    os._exit(status)
