@@ -68,6 +68,16 @@ class Counts:
 
 
 @wp.func
+def complete_along(grid: DualGrid, layer: int, axis: int) -> wp.uint64:
+    """Return the voxels of a layer whose edge along an axis is complete."""
+    if axis == 0:
+        return grid.complete_x[layer]
+    if axis == 1:
+        return grid.complete_y[layer]
+    return grid.complete_z[layer]
+
+
+@wp.func
 def first_vertex(grid: DualGrid, layer: int, bit: int) -> int:
     """Return the number of an active cell's first vertex."""
     before = below(bit)

@@ -9,7 +9,7 @@ import warp as wp
 from warp.utils import array_scan
 
 from fusion.devices import launch_in_slabs
-from fusion.surface.dual_contouring.dual_grid import DualGrid
+from fusion.surface.dual_contouring.dual_grid import DualGrid, complete_along
 from fusion.surface.dual_contouring.layer_quads import split_layer
 from fusion.surface.dual_contouring.quad_pins import has_pins, pins_around
 from fusion.surface.dual_contouring.quad_split import FAN
@@ -18,16 +18,6 @@ from fusion.surface.layers import NONE, launch_over_layers, lowest_bit, number_o
 from fusion.volume.tsdf_volume import Volume
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
-
-
-@wp.func
-def complete_along(grid: DualGrid, layer: int, axis: int) -> wp.uint64:
-    """Return the voxels of a layer whose edge along an axis is complete."""
-    if axis == 0:
-        return grid.complete_x[layer]
-    if axis == 1:
-        return grid.complete_y[layer]
-    return grid.complete_z[layer]
 
 
 @wp.kernel

@@ -12,7 +12,7 @@ back along the second axis (the next after the edge's), 2 and 3 along the third.
 import warp as wp
 from warp.utils import array_scan
 
-from fusion.surface.dual_contouring.dual_grid import DualGrid, place_of, vertex_of_edge
+from fusion.surface.dual_contouring.dual_grid import DualGrid, complete_along, place_of, vertex_of_edge
 from fusion.surface.layers import NONE, below, corners_back, launch_over_layers, step_along
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
@@ -21,12 +21,7 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 @wp.func
 def rim_along(grid: DualGrid, layer: int, axis: int) -> wp.uint64:
     """Return the voxels of a layer whose edge along an axis is a rim edge; the layer has crossed edges."""
-    complete = grid.complete_z[layer]
-    if axis == 0:
-        complete = grid.complete_x[layer]
-    if axis == 1:
-        complete = grid.complete_y[layer]
-    return grid.cells.edges[layer, axis] & ~complete
+    return grid.cells.edges[layer, axis] & ~complete_along(grid, layer, axis)
 
 
 @wp.func
