@@ -1,32 +1,30 @@
 """The command ``fusion``: reconstruct, locate, evaluate, and what is done to a reconstruction."""
 
-import argparse
 import sys
 from collections.abc import Sequence
 
-from datagen.commands.job_options import watch_parent
+from datagen.commands.command_line import parse_command_line, watch_parent
 from datagen.errors import InputError
-from fusion.commands import (
-    crop,
-    estimate,
-    evaluate,
-    export,
-    locate,
-    merge,
-    mesh,
-    pose_benchmark,
-    reconstruct,
-    render,
-    report,
-)
 
-COMMANDS = (estimate, reconstruct, locate, evaluate, pose_benchmark, report, render, export, mesh, crop, merge)
+COMMANDS = {
+    "estimate": "tell how large a reconstruction will be, from a few frames",
+    "reconstruct": "fuse a dataset into a coloured mesh",
+    "locate": "find the pose of a view in a reconstruction, or of an object given as a mesh",
+    "evaluate": "measure a mesh against the truth",
+    "pose-benchmark": "locate held-out frames by a protocol; a table with bars, and pictures",
+    "report": "the paper's figures and table from your data, on one HTML page",
+    "render": "see a reconstruction from a pose: colour, depth, normals",
+    "export": "write the surface with normals (.ply) or the field (.vdb)",
+    "mesh": "choose parts, smooth, decimate, write in another format; report holes",
+    "crop": "keep a box of the world",
+    "merge": "make one of reconstructions from different frames of a dataset",
+}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; returns its exit code: 0, 2 for input that cannot be used, 130 where interrupted."""
-    options = _parser().parse_args(arguments)
     try:
+        options = parse_command_line("fusion", "Fuse posed RGB-D frames and locate new ones.", COMMANDS, arguments)
         watch_parent(options)
         options.run(options)
     except InputError as error:
@@ -36,11 +34,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("fusion: interrupted; the same command begins anew", file=sys.stderr)
         return 130
     return 0
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="fusion", description="Fuse posed RGB-D frames and locate new ones.")
-    commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for command in COMMANDS:
-        command.add_command(commands)
-    return parser

@@ -2,7 +2,6 @@
 
 import argparse
 from pathlib import Path
-from typing import Any
 
 from datagen.formats.convert import convert_dataset
 from datagen.formats.registry import FORMAT_NAMES, format_named
@@ -10,22 +9,19 @@ from datagen.open_dataset import open_dataset
 from datagen.progress import on_terminal
 
 
-def add_command(commands: Any) -> None:
-    """Add the command to the parser's ``commands``."""
-    convert = commands.add_parser(
-        "convert", help="write a dataset in another format; goes on where a killed run stopped"
-    )
-    convert.add_argument("dataset", metavar="IN", type=Path, help="a dataset of any format; it is told by its files")
-    convert.add_argument("out", metavar="OUT", type=Path, help="folder of the new dataset: new or empty")
-    convert.add_argument("--format", required=True, choices=FORMAT_NAMES, help="format of the new dataset")
-    convert.add_argument("--frames", metavar="START:STOP:STEP", help="which frames, as a Python slice (default: all)")
-    convert.add_argument(
+def add_options(command: argparse.ArgumentParser) -> None:
+    """Give the command's parser its options, and ``run``."""
+    command.add_argument("dataset", metavar="IN", type=Path, help="a dataset of any format; it is told by its files")
+    command.add_argument("out", metavar="OUT", type=Path, help="folder of the new dataset: new or empty")
+    command.add_argument("--format", required=True, choices=FORMAT_NAMES, help="format of the new dataset")
+    command.add_argument("--frames", metavar="START:STOP:STEP", help="which frames, as a Python slice (default: all)")
+    command.add_argument(
         "--depth-scale",
         type=float,
         metavar="METRES",
         help="metres a step of the new depth images (default: as they are)",
     )
-    convert.set_defaults(run=_run)
+    command.set_defaults(run=_run)
 
 
 def _run(options: argparse.Namespace) -> None:

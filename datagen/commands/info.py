@@ -3,18 +3,16 @@
 import argparse
 import json
 from pathlib import Path
-from typing import Any
 
 from datagen.dataset_summary import describe, summarise
 from datagen.open_dataset import open_dataset
 
 
-def add_command(commands: Any) -> None:
-    """Add the command to the parser's ``commands``."""
-    info = commands.add_parser("info", help="tell what a dataset holds")
-    info.add_argument("dataset", metavar="DATASET", type=Path, help="a dataset of any format that can be read")
-    info.add_argument("--json", action="store_true", help="as JSON")
-    info.set_defaults(run=_run)
+def add_options(command: argparse.ArgumentParser) -> None:
+    """Give the command's parser its options, and ``run``."""
+    command.add_argument("dataset", metavar="DATASET", type=Path, help="a dataset of any format that can be read")
+    command.add_argument("--json", action="store_true", help="as JSON")
+    command.set_defaults(run=_run)
 
 
 def _run(options: argparse.Namespace) -> None:

@@ -3,7 +3,6 @@
 import argparse
 from contextlib import AbstractContextManager, nullcontext
 
-from datagen.parent_process import end_with_input
 from datagen.progress import ProgressReporter, as_json_lines, on_terminal
 
 
@@ -20,12 +19,6 @@ def add_job_options(command: argparse.ArgumentParser) -> None:
         action="store_true",
         help="end, as by Ctrl-C, when standard input ends: with the program that started this one",
     )
-
-
-def watch_parent(options: argparse.Namespace) -> None:
-    """Begin to watch standard input where ``--end-with-input`` asks for it."""
-    if getattr(options, "end_with_input", False):
-        end_with_input()
 
 
 def reporting(options: argparse.Namespace) -> AbstractContextManager[ProgressReporter]:

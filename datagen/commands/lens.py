@@ -2,7 +2,6 @@
 
 import argparse
 from pathlib import Path
-from typing import Any
 
 from pydantic import ValidationError
 
@@ -16,20 +15,19 @@ from datagen.sensors.add_layers import add_lens_layers
 COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 
 
-def add_command(commands: Any) -> None:
-    """Add the command to the parser's ``commands``."""
-    lens = commands.add_parser("lens", help="add colour and depth as a distorted lens would show them, as layers")
-    lens.add_argument("dataset", metavar="DATASET", type=Path, help="a dataset of ours")
+def add_options(command: argparse.ArgumentParser) -> None:
+    """Give the command's parser its options, and ``run``."""
+    command.add_argument("dataset", metavar="DATASET", type=Path, help="a dataset of ours")
     for name in COEFFICIENTS:
-        lens.add_argument(f"--{name}", type=float, default=0.0, metavar="X", help=f"OpenCV's coefficient {name}")
-    lens.add_argument(
+        command.add_argument(f"--{name}", type=float, default=0.0, metavar="X", help=f"OpenCV's coefficient {name}")
+    command.add_argument(
         "--magnification",
         type=_magnification,
         default=1.0,
         metavar="X|cover",
         help="focal length over the rendered camera's; cover: the least that leaves no pixel empty",
     )
-    lens.set_defaults(run=_run)
+    command.set_defaults(run=_run)
 
 
 def _magnification(text: str) -> float | str:

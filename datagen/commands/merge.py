@@ -2,18 +2,16 @@
 
 import argparse
 from pathlib import Path
-from typing import Any
 
 from datagen.progress import on_terminal
 from datagen.rendering.merge_shards import merge_shards
 
 
-def add_command(commands: Any) -> None:
-    """Add the command to the parser's ``commands``."""
-    parser = commands.add_parser("merge", help="put shards that were rendered apart into one dataset")
-    parser.add_argument("shards", metavar="SHARD", type=Path, nargs="+", help="folder of a shard")
-    parser.add_argument("out", metavar="OUT", type=Path, help="folder of the whole dataset")
-    parser.set_defaults(run=_run)
+def add_options(command: argparse.ArgumentParser) -> None:
+    """Give the command's parser its options, and ``run``."""
+    command.add_argument("shards", metavar="SHARD", type=Path, nargs="+", help="folder of a shard")
+    command.add_argument("out", metavar="OUT", type=Path, help="folder of the whole dataset")
+    command.set_defaults(run=_run)
 
 
 def _run(options: argparse.Namespace) -> None:

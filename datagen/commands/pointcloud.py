@@ -2,7 +2,6 @@
 
 import argparse
 from pathlib import Path
-from typing import Any
 
 from datagen.commands.arguments import positive_length
 from datagen.frame_selection import select_frames
@@ -11,16 +10,15 @@ from datagen.point_cloud import dataset_points, write_point_cloud
 from datagen.progress import on_terminal
 
 
-def add_command(commands: Any) -> None:
-    """Add the command to the parser's ``commands``."""
-    parser = commands.add_parser("pointcloud", help="write the coloured points of a dataset as PLY")
-    parser.add_argument("dataset", metavar="DATASET", type=Path, help="a dataset of any format that datagen reads")
-    parser.add_argument("out", metavar="OUT.ply", type=Path, help="the file to write")
-    parser.add_argument("--frames", metavar="START:STOP:STEP", help="a Python slice of the frames (default: all)")
-    parser.add_argument(
+def add_options(command: argparse.ArgumentParser) -> None:
+    """Give the command's parser its options, and ``run``."""
+    command.add_argument("dataset", metavar="DATASET", type=Path, help="a dataset of any format that datagen reads")
+    command.add_argument("out", metavar="OUT.ply", type=Path, help="the file to write")
+    command.add_argument("--frames", metavar="START:STOP:STEP", help="a Python slice of the frames (default: all)")
+    command.add_argument(
         "--voxel", type=positive_length, metavar="M", help="one mean point for each cube of this side, metres"
     )
-    parser.set_defaults(run=_run)
+    command.set_defaults(run=_run)
 
 
 def _run(options: argparse.Namespace) -> None:

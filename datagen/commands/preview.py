@@ -2,7 +2,6 @@
 
 import argparse
 from pathlib import Path
-from typing import Any
 
 from datagen.errors import InputError
 from datagen.frame_selection import select_frames
@@ -10,21 +9,18 @@ from datagen.open_dataset import open_dataset
 from datagen.progress import on_terminal
 
 
-def add_command(commands: Any) -> None:
-    """Add the command to the parser's ``commands``."""
-    preview = commands.add_parser(
-        "preview", help="make a contact sheet, a video, a GIF and a plot of the camera's path"
-    )
-    preview.add_argument("dataset", metavar="DATASET", type=Path, help="a dataset of any known format")
-    preview.add_argument(
+def add_options(command: argparse.ArgumentParser) -> None:
+    """Give the command's parser its options, and ``run``."""
+    command.add_argument("dataset", metavar="DATASET", type=Path, help="a dataset of any known format")
+    command.add_argument(
         "--out",
         metavar="DIR",
         type=Path,
         help="folder of the pictures (default: NAME-preview here, NAME the dataset's)",
     )
-    preview.add_argument("--frames", metavar="SLICE", help="only these, a Python slice: 0:100, ::10")
-    preview.add_argument("--depth", metavar="LAYER", help="a layer to show as depth, for example sensor_depth")
-    preview.set_defaults(run=_run)
+    command.add_argument("--frames", metavar="SLICE", help="only these, a Python slice: 0:100, ::10")
+    command.add_argument("--depth", metavar="LAYER", help="a layer to show as depth, for example sensor_depth")
+    command.set_defaults(run=_run)
 
 
 def _run(options: argparse.Namespace) -> None:

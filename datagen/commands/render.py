@@ -17,27 +17,26 @@ from datagen.scene_spec.scene import Scene
 from datagen.scene_spec.scene_files import load_scene, shipped_scenes, with_render_settings
 
 
-def add_command(commands: Any) -> None:
-    """Add the command to the parser's ``commands``."""
-    render = commands.add_parser("render", help="render a scene into a dataset; goes on where a killed run stopped")
-    render.add_argument(
+def add_options(command: argparse.ArgumentParser) -> None:
+    """Give the command's parser its options, and ``run``."""
+    command.add_argument(
         "scene",
         metavar="SCENE",
         help=f"one of: {', '.join(shipped_scenes())}; a scene file (.toml); or a model or .blend: "
         f"{', '.join(MODEL_SUFFIXES)}",
     )
-    render.add_argument("out", metavar="OUT", type=Path, help="folder of the dataset")
-    render.add_argument("--frames", type=int, metavar="N", help="number of frames; the path stays the same")
-    render.add_argument("--size", type=image_size, metavar="WxH", help="image size in pixels, for example 640x480")
-    render.add_argument("--preset", choices=PRESETS, help="samples, bounces and denoising by a name for all of them")
-    render.add_argument("--samples", type=int, metavar="N", help="Cycles samples a pixel: more are slower and cleaner")
-    render.add_argument("--seed", type=int, metavar="N", help="of all that is random: sampling, views, shake")
-    render.add_argument(
+    command.add_argument("out", metavar="OUT", type=Path, help="folder of the dataset")
+    command.add_argument("--frames", type=int, metavar="N", help="number of frames; the path stays the same")
+    command.add_argument("--size", type=image_size, metavar="WxH", help="image size in pixels, for example 640x480")
+    command.add_argument("--preset", choices=PRESETS, help="samples, bounces and denoising by a name for all of them")
+    command.add_argument("--samples", type=int, metavar="N", help="Cycles samples a pixel: more are slower and cleaner")
+    command.add_argument("--seed", type=int, metavar="N", help="of all that is random: sampling, views, shake")
+    command.add_argument(
         "--layers", type=layer_names, metavar="A,B", help="also write these: normals, masks, flow (to the next frame)"
     )
-    _add_machine_options(render)
-    add_job_options(render)
-    render.set_defaults(run=_run)
+    _add_machine_options(command)
+    add_job_options(command)
+    command.set_defaults(run=_run)
 
 
 def say(sentence: str) -> None:
@@ -45,18 +44,18 @@ def say(sentence: str) -> None:
     print(f"datagen: {sentence}", file=sys.stderr)
 
 
-def _add_machine_options(render: argparse.ArgumentParser) -> None:
-    render.add_argument("--device", choices=DEVICES, default="auto", help="what Cycles renders on (default: the best)")
-    render.add_argument("--require-gpu", action="store_true", help="fail rather than render on the CPU")
-    render.add_argument("--workers", type=positive, default=1, metavar="N", help="rendering processes (default: 1)")
-    render.add_argument(
+def _add_machine_options(command: argparse.ArgumentParser) -> None:
+    command.add_argument("--device", choices=DEVICES, default="auto", help="what Cycles renders on (default: the best)")
+    command.add_argument("--require-gpu", action="store_true", help="fail rather than render on the CPU")
+    command.add_argument("--workers", type=positive, default=1, metavar="N", help="rendering processes (default: 1)")
+    command.add_argument(
         "--recycle-after",
         type=positive,
         default=FRAMES_PER_WORKER,
         metavar="N",
         help=f"frames after which a fresh process takes over (default: {FRAMES_PER_WORKER})",
     )
-    render.add_argument(
+    command.add_argument(
         "--shard", default="1/1", metavar="I/N", help="only part I of N, into this folder or one of its own"
     )
 

@@ -2,7 +2,6 @@
 
 import argparse
 from pathlib import Path
-from typing import Any
 
 from pydantic import ValidationError
 
@@ -17,20 +16,17 @@ from datagen.sensors.depth_sensors import SENSORS
 SETTINGS = ("model", "seed", "axial", "lateral", "quantisation", "grazing", "shadow", "edges", "nearest", "farthest")
 
 
-def add_command(commands: Any) -> None:
-    """Add the command to the parser's ``commands``."""
-    sensor = commands.add_parser(
-        "sensor", help="add the depth that a real sensor would give, as the layer sensor_depth"
-    )
-    sensor.add_argument("dataset", metavar="DATASET", type=Path, help="a dataset of ours")
-    sensor.add_argument("--model", choices=tuple(SENSORS), required=True, help="the sensor that is simulated")
-    sensor.add_argument("--seed", type=int, metavar="N", help="of the noise (default: that of the rendering)")
+def add_options(command: argparse.ArgumentParser) -> None:
+    """Give the command's parser its options, and ``run``."""
+    command.add_argument("dataset", metavar="DATASET", type=Path, help="a dataset of ours")
+    command.add_argument("--model", choices=tuple(SENSORS), required=True, help="the sensor that is simulated")
+    command.add_argument("--seed", type=int, metavar="N", help="of the noise (default: that of the rendering)")
     for name, what in (
         ("axial", "the noise along z"),
         ("lateral", "how far edges move"),
         ("quantisation", "the steps"),
     ):
-        sensor.add_argument(
+        command.add_argument(
             f"--{name}", type=float, default=1.0, metavar="X", help=f"multiplies {what}; 0 turns it off"
         )
     for name, where in (
@@ -38,11 +34,11 @@ def add_command(commands: Any) -> None:
         ("shadow", "where the second view does not see"),
         ("edges", "at edges"),
     ):
-        sensor.add_argument(f"--no-{name}", dest=name, action="store_false", help=f"keep returns {where}")
-    sensor.add_argument("--nearest", type=float, metavar="M", help="metres; nearer is lost (default: the model's)")
-    sensor.add_argument("--farthest", type=float, metavar="M", help="metres; farther is lost (default: the model's)")
-    add_job_options(sensor)
-    sensor.set_defaults(run=_run)
+        command.add_argument(f"--no-{name}", dest=name, action="store_false", help=f"keep returns {where}")
+    command.add_argument("--nearest", type=float, metavar="M", help="metres; nearer is lost (default: the model's)")
+    command.add_argument("--farthest", type=float, metavar="M", help="metres; farther is lost (default: the model's)")
+    add_job_options(command)
+    command.set_defaults(run=_run)
 
 
 def _run(options: argparse.Namespace) -> None:

@@ -3,7 +3,6 @@
 import argparse
 import json
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 from rich.padding import Padding
@@ -18,20 +17,18 @@ from datagen.progress import on_terminal
 EXIT_FAULTS = 1
 
 
-def add_command(commands: Any) -> None:
-    """Add the command to the parser's ``commands``."""
-    validate = commands.add_parser(
-        "validate",
-        help="find and name faults of a dataset; exit code 0 clean, 1 faults, 2 unusable",
-        description="Reproject frames into each other and into the true mesh, where there is one, and name what is "
-        "wrong: half pixels, axes, inverse poses, ray distances, scales, focal lengths, colour beside depth, "
-        "poses of other frames, damaged files. The exit code is 0 without faults, 1 with, 2 where nothing can be used.",
+def add_options(command: argparse.ArgumentParser) -> None:
+    """Give the command's parser its options, and ``run``."""
+    command.description = (
+        "Reproject frames into each other and into the true mesh, where there is one, and name what is wrong: half "
+        "pixels, axes, inverse poses, ray distances, scales, focal lengths, colour beside depth, poses of other "
+        "frames, damaged files. The exit code is 0 without faults, 1 with, 2 where nothing can be used."
     )
-    validate.add_argument("dataset", metavar="DATASET", type=Path, help="a dataset of any format that can be read")
-    validate.add_argument("--frames", metavar="SLICE", help="START:STOP:STEP of the frames to check (default: all)")
-    validate.add_argument("--seed", type=int, default=0, metavar="N", help="of which pixels are compared (default: 0)")
-    validate.add_argument("--json", action="store_true", help="as JSON")
-    validate.set_defaults(run=_run)
+    command.add_argument("dataset", metavar="DATASET", type=Path, help="a dataset of any format that can be read")
+    command.add_argument("--frames", metavar="SLICE", help="START:STOP:STEP of the frames to check (default: all)")
+    command.add_argument("--seed", type=int, default=0, metavar="N", help="of which pixels are compared (default: 0)")
+    command.add_argument("--json", action="store_true", help="as JSON")
+    command.set_defaults(run=_run)
 
 
 def _run(options: argparse.Namespace) -> int:

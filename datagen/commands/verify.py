@@ -2,7 +2,6 @@
 
 import argparse
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -15,20 +14,17 @@ from datagen.rendering.verify import verify_dataset
 EXIT_MISMATCH = 1
 
 
-def add_command(commands: Any) -> None:
-    """Add the command to the parser's ``commands``."""
-    parser = commands.add_parser(
-        "verify", help="render random frames of a dataset again and compare; exit code 1 tells"
-    )
-    parser.add_argument("dataset", metavar="DATASET", type=Path, help="a dataset that datagen render made")
-    parser.add_argument("--frames", type=positive, default=5, metavar="N", help="how many frames (default: 5)")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the choice of frames")
-    parser.add_argument(
+def add_options(command: argparse.ArgumentParser) -> None:
+    """Give the command's parser its options, and ``run``."""
+    command.add_argument("dataset", metavar="DATASET", type=Path, help="a dataset that datagen render made")
+    command.add_argument("--frames", type=positive, default=5, metavar="N", help="how many frames (default: 5)")
+    command.add_argument("--seed", type=int, default=0, metavar="N", help="of the choice of frames")
+    command.add_argument(
         "--models", type=Path, default=Path(), metavar="FOLDER", help="where the scene's own model files lie"
     )
-    parser.add_argument("--device", choices=DEVICES, default="auto", help="what Cycles renders on (default: the best)")
-    parser.add_argument("--workers", type=positive, default=1, metavar="N", help="rendering processes (default: 1)")
-    parser.set_defaults(run=_run)
+    command.add_argument("--device", choices=DEVICES, default="auto", help="what Cycles renders on (default: the best)")
+    command.add_argument("--workers", type=positive, default=1, metavar="N", help="rendering processes (default: 1)")
+    command.set_defaults(run=_run)
 
 
 def _run(options: argparse.Namespace) -> int:

@@ -4,16 +4,14 @@ import argparse
 import math
 import re
 from pathlib import Path
-from typing import Any
 
 from datagen.progress import on_terminal
 from fusion.commands.arguments import add_device, add_json, add_reconstruction, add_remeshing, print_record
 from fusion.edit_reconstruction import crop_reconstruction
 
 
-def add_command(commands: Any) -> None:
-    """Add the command to the parser's ``commands``."""
-    command = commands.add_parser("crop", help="keep a box of the world")
+def add_options(command: argparse.ArgumentParser) -> None:
+    """Give the command's parser its options, and ``run``."""
     add_reconstruction(command)
     command.add_argument("out", type=Path, help="the folder to write")
     for option in ("--low", "--high"):

@@ -3,7 +3,6 @@
 import argparse
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 from datagen.commands.job_options import add_job_options, reporting
 from datagen.open_dataset import open_dataset
@@ -13,9 +12,8 @@ from fusion.estimate import estimate
 from fusion.reconstruction_config import VOXELS_PER_TRUNCATION, check_length
 
 
-def add_command(commands: Any) -> None:
-    """Add the command to the parser's ``commands``."""
-    command = commands.add_parser("estimate", help="tell how large a reconstruction will be, from a few frames")
+def add_options(command: argparse.ArgumentParser) -> None:
+    """Give the command's parser its options, and ``run``."""
     command.add_argument("dataset", type=Path, help="what would be fused")
     command.add_argument("--voxel-size", type=float, metavar="M", help="metres; from the data if not given")
     command.add_argument("--truncation", type=float, metavar="M", help="metres; 4 voxels if not given")

@@ -2,7 +2,6 @@
 
 import argparse
 from pathlib import Path
-from typing import Any
 
 from datagen.commands.job_options import add_job_options, reporting
 from datagen.errors import InputError
@@ -18,9 +17,8 @@ from fusion.reconstruction_files import RECORD_FILE, ReconstructionRecord, read_
 from fusion.surface.mesh_files import read_mesh
 
 
-def add_command(commands: Any) -> None:
-    """Add the command to the parser's ``commands``."""
-    command = commands.add_parser("evaluate", help="measure a mesh against the truth")
+def add_options(command: argparse.ArgumentParser) -> None:
+    """Give the command's parser its options, and ``run``."""
     command.add_argument("mesh", type=Path)
     command.add_argument("ground_truth", type=Path, help="a mesh, or a dataset that has one")
     command.add_argument(

@@ -2,16 +2,14 @@
 
 import argparse
 from pathlib import Path
-from typing import Any
 
 from datagen.progress import on_terminal
 from fusion.commands.arguments import add_device, add_json, add_reconstruction, add_remeshing, print_result
 from fusion.export import export
 
 
-def add_command(commands: Any) -> None:
-    """Add the command to the parser's ``commands``."""
-    command = commands.add_parser("export", help="write the surface with normals (.ply) or the field (.vdb)")
+def add_options(command: argparse.ArgumentParser) -> None:
+    """Give the command's parser its options, and ``run``."""
     add_reconstruction(command)
     command.add_argument("out", type=Path, help="a file whose name ends in .ply or .vdb")
     command.add_argument("--points", action="store_true", help="points, not a mesh (.ply)")

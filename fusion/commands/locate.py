@@ -3,7 +3,6 @@
 import argparse
 import sys
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 from rich.table import Table
@@ -53,15 +52,11 @@ alternatives are other poses that explain the view as well, symmetric where the 
 """
 
 
-def add_command(commands: Any) -> None:
-    """Add the command to the parser's ``commands``."""
-    command = commands.add_parser(
-        "locate",
-        help="find the pose of a view in a reconstruction, or of an object given as a mesh",
-        description=DESCRIPTION,
-        epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def add_options(command: argparse.ArgumentParser) -> None:
+    """Give the command's parser its options, and ``run``."""
+    command.description = DESCRIPTION
+    command.epilog = EPILOG
+    command.formatter_class = argparse.RawDescriptionHelpFormatter
     command.add_argument(
         "model", type=Path, help="a folder that fusion reconstruct wrote, or a mesh: .ply, .obj, .glb, .stl (.xyz)"
     )

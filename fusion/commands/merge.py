@@ -2,16 +2,14 @@
 
 import argparse
 from pathlib import Path
-from typing import Any
 
 from datagen.progress import on_terminal
 from fusion.commands.arguments import add_device, add_json, add_remeshing, print_record
 from fusion.edit_reconstruction import merge_reconstructions
 
 
-def add_command(commands: Any) -> None:
-    """Add the command to the parser's ``commands``."""
-    command = commands.add_parser("merge", help="make one of reconstructions from different frames of a dataset")
+def add_options(command: argparse.ArgumentParser) -> None:
+    """Give the command's parser its options, and ``run``."""
     command.add_argument("reconstructions", type=Path, nargs="+", help="folders that fusion reconstruct wrote")
     command.add_argument("out", type=Path, help="the folder to write")
     add_remeshing(command)

@@ -14,9 +14,8 @@ from fusion.edit_mesh import MeshEdits, edit_mesh
 from fusion.surface.mesh_files import WRITABLE
 
 
-def add_command(commands: Any) -> None:
-    """Add the command to the parser's ``commands``."""
-    command = commands.add_parser("mesh", help="choose parts, smooth, decimate, write in another format; report holes")
+def add_options(command: argparse.ArgumentParser) -> None:
+    """Give the command's parser its options, and ``run``."""
     command.add_argument("mesh", type=Path, help="a mesh file, or a folder that fusion reconstruct wrote")
     command.add_argument("out", type=Path, help=f"the file to write: {', '.join(WRITABLE)}")
     command.add_argument("--largest-component", action="store_true", help="keep only the part with the largest area")

@@ -3,7 +3,7 @@
 import argparse
 import sys
 from pathlib import Path
-from typing import Any, get_args
+from typing import get_args
 
 from rich.console import Console
 from rich.table import Table
@@ -18,11 +18,8 @@ from fusion.pose_benchmark.summary import Row, rows_as_json
 from fusion.reconstruction_config import check_length
 
 
-def add_command(commands: Any) -> None:
-    """Add the command to the parser's ``commands``."""
-    command = commands.add_parser(
-        "pose-benchmark", help="locate held-out frames by a protocol; a table with bars, and pictures"
-    )
+def add_options(command: argparse.ArgumentParser) -> None:
+    """Give the command's parser its options, and ``run``."""
     command.add_argument("dataset", type=Path, nargs="+", help="datasets, or a folder of YCB-Video's frames and models")
     command.add_argument("out", type=Path, help="the folder to write; a second run goes on there")
     command.add_argument(

@@ -2,7 +2,7 @@
 
 import argparse
 from pathlib import Path
-from typing import Any, get_args
+from typing import get_args
 
 from rich.console import Console
 from rich.table import Table
@@ -21,9 +21,8 @@ from fusion.surface.meshers import Mesher, OracleName
 from fusion.volume.voxels import Storage
 
 
-def add_command(commands: Any) -> None:
-    """Add the command to the parser's ``commands``."""
-    command = commands.add_parser("reconstruct", help="fuse a dataset into a coloured mesh")
+def add_options(command: argparse.ArgumentParser) -> None:
+    """Give the command's parser its options, and ``run``."""
     command.add_argument("dataset", type=Path, help="a Scanback dataset or a 7-Scenes sequence")
     command.add_argument("out", type=Path, help="the folder to write")
     command.add_argument("--voxel-size", type=float, metavar="M", help="metres; from the data if not given")

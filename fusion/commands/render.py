@@ -2,7 +2,6 @@
 
 import argparse
 from pathlib import Path
-from typing import Any
 
 from datagen.commands.arguments import image_size
 from datagen.commands.job_options import add_job_options, reporting
@@ -11,9 +10,8 @@ from fusion.commands.arguments import add_device, add_json, add_reconstruction, 
 from fusion.render import render
 
 
-def add_command(commands: Any) -> None:
-    """Add the command to the parser's ``commands``."""
-    command = commands.add_parser("render", help="see a reconstruction from a pose: colour, depth, normals")
+def add_options(command: argparse.ArgumentParser) -> None:
+    """Give the command's parser its options, and ``run``."""
     add_reconstruction(command)
     command.add_argument("out", type=Path, help="the folder to write")
     view = command.add_mutually_exclusive_group(required=True)

@@ -3,7 +3,6 @@
 import argparse
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from datagen.commands.job_options import add_job_options, reporting
 from datagen.dataset import Dataset
@@ -14,9 +13,8 @@ from fusion.reconstruction_config import ReconstructionConfig
 from fusion.report.report import write_report
 
 
-def add_command(commands: Any) -> None:
-    """Add the command to the parser's ``commands``."""
-    command = commands.add_parser("report", help="the paper's figures and table from your data, on one HTML page")
+def add_options(command: argparse.ArgumentParser) -> None:
+    """Give the command's parser its options, and ``run``."""
     command.add_argument("dataset", type=Path, nargs="+", help="datasets of ours, or 7-Scenes sequences")
     command.add_argument("out", type=Path, help="the folder to write; a second run goes on there")
     command.add_argument("--voxel-size", type=float, metavar="M", help="metres; from the data if not given")

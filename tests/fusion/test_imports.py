@@ -1,6 +1,8 @@
 import subprocess
 import sys
 
+from fusion.cli import COMMANDS
+
 
 def loaded_by(statement):
     """Return the modules that are loaded after a statement, in a fresh interpreter."""
@@ -9,7 +11,14 @@ def loaded_by(statement):
 
 
 def test_fusion_loads_no_blender_and_no_renderer():
-    loaded = loaded_by("import fusion.cli, fusion.reconstruct, fusion.pose.locate, fusion.evaluation.evaluate")
+    commands = ", ".join(f"fusion.commands.{name.replace('-', '_')}" for name in COMMANDS)
+    loaded = loaded_by(f"import {commands}")
     assert "warp" in loaded
     assert "bpy" not in loaded
     assert not any(name.startswith(("datagen.blender", "blender_addon")) for name in loaded)
+
+
+def test_help_waits_for_nothing_that_is_slow_to_import():
+    loaded = loaded_by("from fusion.cli import main\ntry:\n    main(['--help'])\nexcept SystemExit:\n    pass")
+    assert "fusion.cli" in loaded
+    assert not loaded & {"numpy", "cv2", "warp", "trimesh", "scipy", "pydantic", "rich"}

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from converted_datasets import convert, write_source
 
-from datagen.commands import convert as command
+from datagen.cli import main
 from datagen.errors import InputError
 from datagen.formats import convert as conversion
 from datagen.formats.convert import convert_dataset, rescaled
@@ -200,12 +200,7 @@ def test_times_without_a_beat_are_told_and_kept_in_the_provenance(source, tmp_pa
 
 
 def test_the_command_says_what_it_did(source, tmp_path, capsys):
-    import argparse
-
-    parser = argparse.ArgumentParser()
-    command.add_command(parser.add_subparsers())
-    options = parser.parse_args(["convert", str(source.folder), str(tmp_path / "out"), "--format", "nerfstudio"])
-    options.run(options)
+    assert main(["convert", str(source.folder), str(tmp_path / "out"), "--format", "nerfstudio"]) == 0
     out = capsys.readouterr().out
     assert f"{tmp_path / 'out'}: 5 frames of {source.folder} (scanback) as nerfstudio" in out
     assert "depth      unchanged, 0.1 mm a step" in out
