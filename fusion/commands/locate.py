@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 
 from datagen.commands.job_options import add_job_options, reporting
 from datagen.errors import InputError
@@ -160,37 +160,37 @@ def _print_poses(poses: list[LocatedPose]) -> None:
     refined = any(pose.refined is not None for pose in poses)
     known = any(pose.rotation_error_deg is not None for pose in poses)
     columns = ["query", "verdict", "nearest"]
-    columns += [] if refined else ["score (mm²)"]
-    columns += ["nearest (°)", "nearest (m)"] if known else []
-    if refined:
-        columns += ["quality", "object x y z (m)", "± (mm)"] + (["refined (°)", "refined (mm)"] if known else [])
-    table = Table(*columns, box=None)
+    columns += ["quality", "object before\ncamera (m)", "±\n(mm)"] if refined else ["score\n(mm²)"]
+    columns += ["off\n(°)", "off\n(mm)"] if known else []
+    # Headers of two lines, so that all of it fits a terminal of 80 columns.
+    table = Table(*(Column(name, no_wrap=True) for name in columns), box=None, padding=(0, 2, 0, 0))
     for pose in poses:
-        table.add_row(*_row(pose, refined=refined, known=known))
+        nearest = "–" if pose.nearest is None else str(pose.nearest)
+        details = _refined_cells(pose, known=known) if refined else _nearest_cells(pose, known=known)
+        table.add_row(str(pose.query), pose.verdict, nearest, *details)
     Console().print(table)
 
 
-def _row(pose: LocatedPose, *, refined: bool, known: bool) -> list[str]:
-    row = [str(pose.query), pose.verdict, "–" if pose.nearest is None else str(pose.nearest)]
-    if not refined:
-        score = _number(None if pose.score is None else 1e6 * pose.score, 3)
-        row.append(f"{score}{' (ambiguous)' if pose.ambiguous else ''}")
-    if known:
-        row += [_number(pose.rotation_error_deg, 2), _number(pose.translation_error_m, 4)]
-    if not refined:
-        return row
+def _nearest_cells(pose: LocatedPose, *, known: bool) -> list[str]:
+    score = _number(None if pose.score is None else 1e6 * pose.score, 3)
+    cells = [f"{score}{' (ambiguous)' if pose.ambiguous else ''}"]
+    return cells + ([_number(pose.rotation_error_deg, 2), _millimetres(pose.translation_error_m)] if known else [])
+
+
+def _refined_cells(pose: LocatedPose, *, known: bool) -> list[str]:
     found = pose.refined
     if found is None:
-        return [*row, *["–"] * (5 if known else 3)]
+        return ["–"] * (5 if known else 3)
     place = "–"
     if found.camera_from_object is not None:
         place = " ".join(f"{line[3]:.3f}" for line in found.camera_from_object[:3])
     spread = None if found.uncertainty is None else found.uncertainty.deviations_mm[-1]
-    row += [_number(found.quality, 2), place, _number(spread, 2)]
-    if known:
-        millimetres = None if found.translation_error_m is None else 1000 * found.translation_error_m
-        row += [_number(found.rotation_error_deg, 3), _number(millimetres, 2)]
-    return row
+    cells = [_number(found.quality, 2), place, _number(spread, 2)]
+    return cells + ([_number(found.rotation_error_deg, 3), _millimetres(found.translation_error_m)] if known else [])
+
+
+def _millimetres(metres: float | None) -> str:
+    return _number(None if metres is None else 1000 * metres, 2)
 
 
 def _number(value: float | None, digits: int) -> str:
