@@ -1,20 +1,13 @@
 """The folder of a job, for files that nobody needs afterwards; those of dead Blenders are swept away."""
 
 import contextlib
-import importlib
-import os
 import shutil
 import tempfile
 import time
 from pathlib import Path
-from typing import Any, BinaryIO
 
 from ..errors import ReconstructionError
-
-try:
-    fcntl: Any = importlib.import_module("fcntl")
-except ImportError:  # Windows, where a file that is open cannot be removed
-    fcntl = None
+from .file_lock import FileLock
 
 HELD_FILE = ".held"
 PREFIX = "job-"
@@ -34,41 +27,25 @@ class JobFolder:
             cache.mkdir(parents=True, exist_ok=True)
             _remove_abandoned(cache)
             self.path = Path(tempfile.mkdtemp(prefix=PREFIX, dir=cache))
-            self._held: BinaryIO = (self.path / HELD_FILE).open("wb")
         except OSError as error:
             raise ReconstructionError(
                 f"{cache}: cannot be written ({error.strerror or error}); choose another cache folder in preferences"
             ) from error
-        if fcntl is not None:
-            with contextlib.suppress(OSError):  # a file system without locks: then nobody else gets one either
-                fcntl.flock(self._held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        self._lock: FileLock | None = None
+        with contextlib.suppress(OSError):  # a file system without locks: then nobody else gets one either
+            self._lock = FileLock(self.path / HELD_FILE)
 
     def remove(self) -> None:
         """Remove it with all that is in it; again does nothing."""
-        self._held.close()
+        if self._lock is not None:
+            self._lock.release()
         shutil.rmtree(self.path, ignore_errors=True)
 
 
 def _remove_abandoned(cache: Path) -> None:
     for folder in cache.glob(f"{PREFIX}*"):
-        with contextlib.suppress(OSError):  # another Blender may remove its own meanwhile
-            if time.time() - folder.stat().st_mtime > SETTLING_SECONDS and _is_free(folder / HELD_FILE):
+        with contextlib.suppress(OSError):  # it is held, or removed by another Blender meanwhile
+            if time.time() - folder.stat().st_mtime > SETTLING_SECONDS:
+                with contextlib.suppress(FileNotFoundError):  # it was not even begun, or half removed
+                    FileLock(folder / HELD_FILE, create=False).release()
                 shutil.rmtree(folder, ignore_errors=True)
-
-
-def _is_free(held: Path) -> bool:
-    """Tell whether no process holds a folder by this file. Raises OSError where that cannot be told."""
-    try:
-        if fcntl is None:
-            held.unlink()
-            return True
-        handle = os.open(held, os.O_RDWR)
-    except FileNotFoundError:  # it was not even begun, or half removed
-        return True
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    finally:
-        os.close(handle)
-    return True
