@@ -14,7 +14,7 @@ OracleName: TypeAlias = Literal["volume", "depth"]
 
 _DUAL_CONTOURING = (
     "find_grid",
-    "odd_cells",
+    "several_loops",
     "rim",
     "face_words",
     "edge_points",

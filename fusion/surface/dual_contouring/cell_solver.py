@@ -7,7 +7,7 @@ import warp as wp
 from fusion.surface.dual_contouring.cell_table import CellTables
 from fusion.surface.dual_contouring.dual_grid import DualGrid
 from fusion.surface.dual_contouring.lanes import ONE_LANE_IN_CPP
-from fusion.surface.dual_contouring.qef import INSET, QEF_IN_CPP
+from fusion.surface.dual_contouring.qef import QEF_IN_CPP
 from fusion.volume.voxels import Voxels
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
@@ -52,9 +52,8 @@ def corners_of(voxels: Voxels, grid: DualGrid, slot: int, x: int, y: int, z: int
 
 
 # Terms of 1, x, y, xy, z, xz, yz, xyz, as in ``fusion.volume.trilinear``.
-TRILINEAR_IN_CPP = (
-    f"constexpr float LOWEST = {INSET}f, HIGHEST = 1.0f - {INSET}f;"
-    + """
+TRILINEAR_IN_CPP = """
+    const float LOWEST = grid.inset, HIGHEST = 1.0f - grid.inset;
     wp::mat_t<12, 4, float> planes;
     float v[8], k[8];
     for (int i = 0; i < 8; ++i) v[i] = corners.data[i][0];
@@ -77,7 +76,6 @@ TRILINEAR_IN_CPP = (
     }
     return planes;
 """
-)
 
 
 SOLVE_IN_CPP = (
@@ -131,6 +129,7 @@ SOLVE_IN_CPP = (
 @wp.func_native(SOLVE_IN_CPP)
 def solve_loops(
     tables: CellTables,
+    inset: float,
     first: int,
     pattern: int,
     corners: Corners,

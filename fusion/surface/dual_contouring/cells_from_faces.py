@@ -145,6 +145,7 @@ def solve_cells_from_faces(
         corner = 8 * block + cell
         solve_loops(
             tables,
+            grid.inset,
             first_vertex(grid, layer, bit),
             pattern,
             corners_of(voxels, grid, slot, cell[0], cell[1], cell[2]),

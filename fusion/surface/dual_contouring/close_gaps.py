@@ -12,7 +12,6 @@ import warp as wp
 from fusion.surface.dual_contouring.cell_table import COUNT_SHIFT
 from fusion.surface.dual_contouring.dual_grid import DualGrid, first_vertex
 from fusion.surface.dual_contouring.lanes import LANES_IN_CPP
-from fusion.surface.dual_contouring.qef import INSET
 from fusion.surface.dual_contouring.vertices import Vertices
 from fusion.surface.layers import (
     NONE,
@@ -89,7 +88,7 @@ _MOVE_IN_CPP = """
     for (wp::uint64 left = active; left != 0; left &= left - 1, ++vertex) {
         const int bit = wp::bit_count((left - 1) & ~left);
         if ((several >> bit) & 1) {
-            vertex += (int)(grid.codes.data[odd_cell++] >> COUNT_SHIFT) - 1;
+            vertex += (int)(grid.codes.data[several_cell++] >> COUNT_SHIFT) - 1;
             continue;
         }
         const float *own = sums[10 * ((bit >> 3) + 1) + (bit & 7) + 1];
@@ -107,7 +106,7 @@ _MOVE_IN_CPP = """
 """
 
 _CLOSE_GAPS_IN_CPP = (
-    f"constexpr float LOWEST = {INSET}f, HIGHEST = 1.0f - {INSET}f; constexpr int COUNT_SHIFT = {COUNT_SHIFT};"
+    f"const float LOWEST = grid.inset, HIGHEST = 1.0f - grid.inset; constexpr int COUNT_SHIFT = {COUNT_SHIFT};"
     + LANES_IN_CPP
     + _GATHER_IN_CPP
     + _MOVE_IN_CPP
@@ -121,7 +120,7 @@ def close_layer(
     z: int,
     active: wp.uint64,
     vertex: int,
-    odd_cell: int,
+    several_cell: int,
     gaps: wp.array(dtype=wp.vec3),
     block_x: float,
     block_y: float,
@@ -130,7 +129,7 @@ def close_layer(
     places: wp.array(dtype=wp.vec3),
     points: wp.array(dtype=wp.vec3),
 ) -> None:
-    """Move the vertices of the ``active`` cells of a layer, from numbers ``vertex`` and ``odd_cell`` on.
+    """Move the vertices of the ``active`` cells of a layer, from numbers ``vertex`` and ``several_cell`` on.
 
     The layer begins at ``block_x`` … on the lattice.
     """

@@ -20,6 +20,8 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 class DualGrid:
     """The ``cells`` (``starts``: crossed edges and active cells before a layer), and what is found from them.
 
+    ``inset`` is how far vertices keep from borders, in voxels.
+
     By layers: ``complete_x``, ``…_y``, ``…_z`` (n,) the voxels whose edge is complete; ``several`` (n,) the active
     cells with several loops, and ``twice`` (n,) those with an ambiguous face on their low side; ``vertex_starts``
     (n + 1,) how many cells' vertices and cells with several loops come before, ``quad_starts`` (n + 1,) how many
@@ -37,6 +39,7 @@ class DualGrid:
     """
 
     cells: Cells
+    inset: float
     complete_x: wp.array(dtype=wp.uint64)
     complete_y: wp.array(dtype=wp.uint64)
     complete_z: wp.array(dtype=wp.uint64)

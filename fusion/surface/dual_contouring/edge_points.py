@@ -9,7 +9,6 @@ from fusion.devices import Kernel, launch_in_slabs
 from fusion.surface.dual_contouring.dual_grid import Counts, DualGrid, place_of
 from fusion.surface.dual_contouring.line_search import line_search
 from fusion.surface.dual_contouring.oracle import Oracle, is_known
-from fusion.surface.dual_contouring.qef import INSET
 from fusion.surface.dual_contouring.rows import ROWS_IN_CPP
 from fusion.surface.layers import NONE, Cells, launch_over_layers, lowest_bit, number_of, step_along, voxel_of
 from fusion.volume.tsdf_volume import Volume
@@ -17,14 +16,12 @@ from fusion.volume.voxels import Voxels, distance_of
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-_LOWEST = wp.constant(INSET)
-_HIGHEST = wp.constant(1.0 - INSET)
 _LEAST_GUESS = wp.constant(0.05)
 """Voxels."""
 
 
 _CROSS_EDGES_IN_CPP = (
-    f"constexpr float LOWEST = {INSET}f, HIGHEST = 1.0f - {INSET}f;"
+    "const float LOWEST = inset, HIGHEST = 1.0f - inset;"
     + ROWS_IN_CPP
     + """
     const bool packed = voxels.packed.shape[0] > 0;
@@ -46,16 +43,18 @@ _CROSS_EDGES_IN_CPP = (
 
 
 @wp.func_native(_CROSS_EDGES_IN_CPP)
-def cross_edges(cells: Cells, slot: int, z: int, voxels: Voxels, edge: int, along: wp.array(dtype=float)) -> None:
+def cross_edges(
+    cells: Cells, inset: float, slot: int, z: int, voxels: Voxels, edge: int, along: wp.array(dtype=float)
+) -> None:
     """Write where the trilinear field, which is linear there, crosses a layer's edges, from number ``edge`` on."""
 
 
 @wp.kernel
-def _cross_edges(first: int, cells: Cells, voxels: Voxels, along: wp.array(dtype=float)) -> None:
+def _cross_edges(first: int, grid: DualGrid, voxels: Voxels, along: wp.array(dtype=float)) -> None:
     layer = wp.tid() + first
-    edge = cells.starts[layer][0]
-    if edge != cells.starts[layer + 1][0]:
-        cross_edges(cells, layer >> 3, layer & 7, voxels, edge, along)
+    edge = grid.cells.starts[layer][0]
+    if edge != grid.cells.starts[layer + 1][0]:
+        cross_edges(grid.cells, grid.inset, layer >> 3, layer & 7, voxels, edge, along)
 
 
 @wp.func
@@ -137,7 +136,7 @@ def search_kernel(value: Any, state_type: Any) -> Kernel:
             while left != NONE:
                 bit = lowest_bit(left)
                 found = search_edge(state, grid, voxels, voxels_a_truncation, layer, bit, axis, corner)
-                along[edge] = wp.clamp(found, _LOWEST, _HIGHEST)
+                along[edge] = wp.clamp(found, grid.inset, 1.0 - grid.inset)
                 edge += 1
                 left = left & (left - wp.uint64(1))
 
@@ -153,7 +152,7 @@ def edge_points(volume: Volume, grid: DualGrid, counts: Counts, oracle: Oracle |
     along = wp.empty(counts.edges, dtype=float, device=device)
     layers = len(grid.cells.starts) - 1
     if oracle is None:
-        launch_over_layers(_cross_edges, dim=layers, inputs=[grid.cells, volume.voxels], outputs=[along], device=device)
+        launch_over_layers(_cross_edges, dim=layers, inputs=[grid, volume.voxels], outputs=[along], device=device)
         return along
     launch_in_slabs(
         search_kernel(oracle.value, oracle.state_type),

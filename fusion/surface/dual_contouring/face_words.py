@@ -7,7 +7,7 @@ import warp as wp
 from warp.utils import array_scan
 
 from fusion.surface.dual_contouring.dual_grid import DualGrid
-from fusion.surface.dual_contouring.odd_cells import crossed_twice
+from fusion.surface.dual_contouring.several_loops import crossed_twice
 from fusion.surface.layers import NONE, corners_back, corners_on, launch_over_layers, word_at
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})

@@ -7,9 +7,10 @@ from fusion.surface.cells import find_cells
 from fusion.surface.dual_contouring.cell_table import CellTables, cell_tables
 from fusion.surface.dual_contouring.dual_grid import Counts, DualGrid
 from fusion.surface.dual_contouring.face_words import find_curves
-from fusion.surface.dual_contouring.odd_cells import find_odd_cells, write_odd_cells
+from fusion.surface.dual_contouring.inset import inset_for
 from fusion.surface.dual_contouring.oracle import Oracle
 from fusion.surface.dual_contouring.rim import find_rim
+from fusion.surface.dual_contouring.several_loops import find_several_loops, write_several_loops
 from fusion.surface.dual_contouring.signs import ask_signs
 from fusion.surface.layers import NONE, Cells, corners_back, launch_over_layers
 from fusion.volume.tsdf_volume import Volume
@@ -50,6 +51,7 @@ def find_grid(volume: Volume, oracle: Oracle | None, *, min_weight: float) -> tu
     answers = None if oracle is None else ask_signs(volume, cells, ones, oracle)
     layers = len(cells.starts) - 1
     grid = _empty_grid(cells, answers)
+    grid.inset = inset_for(volume)
     launch_over_layers(_find_complete, dim=layers, inputs=[], outputs=[grid], device=device)
     array_scan(grid.quad_starts, grid.quad_starts, inclusive=False)
     vertices = _find_vertices(grid, cell_tables(str(device.alias)))
@@ -63,14 +65,14 @@ def find_grid(volume: Volume, oracle: Oracle | None, *, min_weight: float) -> tu
 
 
 def _find_vertices(grid: DualGrid, tables: CellTables) -> int:
-    """Find which cells are odd and where vertices' numbers start, and return how many vertices there are."""
+    """Find which cells have several loops and where vertices' numbers start, and return how many vertices there are."""
     device, layers = grid.several.device, len(grid.several)
-    launch_over_layers(find_odd_cells, dim=layers, inputs=[tables], outputs=[grid], device=device)
+    launch_over_layers(find_several_loops, dim=layers, inputs=[tables], outputs=[grid], device=device)
     array_scan(grid.vertex_starts, grid.vertex_starts, inclusive=False)
-    vertices, odd = (int(total) for total in grid.vertex_starts[layers:].numpy()[0])
-    grid.codes = wp.empty(odd, dtype=wp.uint64, device=device)
-    grid.more = wp.empty(odd, dtype=int, device=device)
-    launch_over_layers(write_odd_cells, dim=layers, inputs=[tables], outputs=[grid], device=device)
+    vertices, several = (int(total) for total in grid.vertex_starts[layers:].numpy()[0])
+    grid.codes = wp.empty(several, dtype=wp.uint64, device=device)
+    grid.more = wp.empty(several, dtype=int, device=device)
+    launch_over_layers(write_several_loops, dim=layers, inputs=[tables], outputs=[grid], device=device)
     return vertices
 
 

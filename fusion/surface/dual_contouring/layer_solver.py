@@ -6,7 +6,6 @@ from fusion.surface.dual_contouring.cell_solver import CORNERS_IN_CPP, SOLVE_IN_
 from fusion.surface.dual_contouring.cell_table import COUNT_SHIFT, CellTables
 from fusion.surface.dual_contouring.dual_grid import DualGrid
 from fusion.surface.dual_contouring.lanes import LANES_IN_CPP
-from fusion.surface.dual_contouring.qef import INSET
 from fusion.surface.dual_contouring.rows import ROWS_IN_CPP
 from fusion.volume.voxels import Voxels
 
@@ -163,9 +162,10 @@ _SOLVE_SEVERAL_LOOPS_IN_CPP = (
 
 # A layer's cells in one piece: Warp hands structs over by value, which for each cell would cost as much as solving it.
 _SOLVE_LAYER_IN_CPP = (
-    _SOLVE_SEVERAL_LOOPS_IN_CPP
+    "const float inset = grid.inset;"
+    + _SOLVE_SEVERAL_LOOPS_IN_CPP
     + LANES_IN_CPP
-    + f"constexpr float LOWEST = {INSET}f, HIGHEST = 1.0f - {INSET}f; constexpr int COUNT_SHIFT = {COUNT_SHIFT};"
+    + f"const float LOWEST = inset, HIGHEST = 1.0f - inset; constexpr int COUNT_SHIFT = {COUNT_SHIFT};"
     + "const auto &cells = grid.cells; const bool with_normals = normals.shape[0] > 0;"
     + ROWS_IN_CPP
     + "int filled = 0, bits[LANES], numbers[LANES];"
@@ -179,7 +179,7 @@ _SOLVE_LAYER_IN_CPP = (
         const int bit = wp::bit_count((left - 1) & ~left);
         if ((several >> bit) & 1) {
             solve_several_loops(vertex, bit & 7, bit >> 3);
-            vertex += (int)(grid.codes.data[odd_cell++] >> COUNT_SHIFT);
+            vertex += (int)(grid.codes.data[several_cell++] >> COUNT_SHIFT);
         } else {
             gather(filled, bit);
             bits[filled] = bit;
@@ -203,7 +203,7 @@ def solve_layer(
     z: int,
     active: wp.uint64,
     vertex: int,
-    odd_cell: int,
+    several_cell: int,
     block_x: float,
     block_y: float,
     block_z: float,
@@ -214,7 +214,7 @@ def solve_layer(
     colors: wp.array(dtype=wp.vec3ub),
     normals: wp.array(dtype=wp.vec3),
 ) -> None:
-    """Write the vertices of the ``active`` cells of a layer, from numbers ``vertex`` and ``odd_cell`` on.
+    """Write the vertices of the ``active`` cells of a layer, from numbers ``vertex`` and ``several_cell`` on.
 
     The layer begins at ``block_x`` … on the lattice. A cell's only vertex begins at the centroid of its crossings, and
     its normal is the trilinear field's mean gradient; its point is written later (``close_gaps``). Normals are left out

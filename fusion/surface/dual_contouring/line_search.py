@@ -16,7 +16,7 @@ from fusion.surface.dual_contouring.oracle import is_known
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 TOLERANCE = wp.constant(1.0e-3)
-"""Voxels: a crossing is known as exactly as vertices keep from borders."""
+"""Voxels: a crossing is known much more exactly than depth images tell."""
 _SURE_STEP = wp.constant(4.0e-3)
 """Voxels: a secant's step as short as this is not asked about; it is off by a small part of it."""
 _FREE_QUESTIONS = wp.constant(3)

@@ -35,22 +35,20 @@ from fusion.surface.dual_contouring.faces import (
     pattern_of,
     point_on_edge,
 )
-from fusion.surface.dual_contouring.qef import INSET
 from fusion.surface.dual_contouring.vertices import VertexRoom, Vertices, set_vertex_between
 from fusion.surface.layers import NONE, launch_over_layers, lowest_bit, number_of, step_along
 from fusion.volume.tsdf_volume import Volume
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-_INSET = wp.constant(INSET)
 _STRAIGHT = wp.constant(0.02)
 """Voxels: a curve at whose end the mesh ends is straight if its 2-D point is so near to the line between its ends."""
 
 
 @wp.func
-def is_in_hull(point: wp.vec2, ends: wp.vec2i) -> bool:
-    """Return whether a point of a face is well within the hull of the two edges that a curve joins."""
-    if wp.min(point) < _INSET or wp.max(point) > 1.0 - _INSET:
+def is_in_hull(point: wp.vec2, ends: wp.vec2i, inset: float) -> bool:
+    """Return whether a point of a face is within the hull of the two edges that a curve joins, by an ``inset``."""
+    if wp.min(point) < inset or wp.max(point) > 1.0 - inset:
         return False
     if (ends[0] < 2) == (ends[1] < 2):
         return True  # opposite edges: all of the face
@@ -58,7 +56,7 @@ def is_in_hull(point: wp.vec2, ends: wp.vec2i) -> bool:
     along_u = wp.where(ends[0] < 2, ends[0], ends[1])
     along_v = wp.where(ends[0] < 2, ends[1], ends[0])
     from_corner = wp.abs(point[0] - float(along_v & 1)) + wp.abs(point[1] - float(along_u & 1))
-    return from_corner < 1.0 - _INSET
+    return from_corner < 1.0 - inset
 
 
 @wp.func
@@ -96,13 +94,15 @@ def vertices_beside(grid: DualGrid, slot: int, layer: int, bit: int, axis: int, 
 
 
 @wp.func
-def passes_within_hull(beside: wp.vec2i, axis: int, ends: wp.vec2i, places: wp.array(dtype=wp.vec3)) -> bool:
+def passes_within_hull(
+    grid: DualGrid, beside: wp.vec2i, axis: int, ends: wp.vec2i, places: wp.array(dtype=wp.vec3)
+) -> bool:
     """Return whether the line between the vertices on both sides of a face passes it within a curve's hull."""
     above = places[beside[0]]
     below = places[beside[1]]
     share = (1.0 - below[axis]) / (1.0 - below[axis] + above[axis])
     point = below + share * (above - below)
-    return is_in_hull(wp.vec2(point[face_u(axis)], point[face_v(axis)]), ends)
+    return is_in_hull(wp.vec2(point[face_u(axis)], point[face_v(axis)]), ends, grid.inset)
 
 
 @wp.func
@@ -121,14 +121,14 @@ def ends_on_face(
 
 
 @wp.func
-def bends_within_hull(at: wp.vec4, leads: wp.vec4, ends: wp.vec2i) -> bool:
+def bends_within_hull(at: wp.vec4, leads: wp.vec4, ends: wp.vec2i, inset: float) -> bool:
     """Return whether a curve's 2-D point is in its hull, and off the line between its ends."""
     a = wp.vec2(at[0], at[1])
     b = wp.vec2(at[2], at[3])
     point = meeting_point(a, b, leads)
     across = b - a
     off = wp.abs(across[0] * (point[1] - a[1]) - across[1] * (point[0] - a[0]))
-    return is_in_hull(point, ends) and off > _STRAIGHT * wp.length(across)
+    return is_in_hull(point, ends, inset) and off > _STRAIGHT * wp.length(across)
 
 
 @wp.kernel
@@ -165,10 +165,11 @@ def _choose_pins(
                 pinned = bool(False)
                 if (last[curve] & one) != NONE:
                     leads = curve_points[curve_number(grid, layer, axis, bit) + curve]
-                    pinned = bends_within_hull(ends_on_face(grid, slot, voxel, axis, ends, along), leads, ends)
+                    between = ends_on_face(grid, slot, voxel, axis, ends, along)
+                    pinned = bends_within_hull(between, leads, ends, grid.inset)
                 else:
                     beside = vertices_at(grid, slot, layer, bit, axis, ends[0])
-                    pinned = not passes_within_hull(beside, axis, ends, places)
+                    pinned = not passes_within_hull(grid, beside, axis, ends, places)
                 if pinned:
                     pins |= one
                 left = left ^ one
@@ -212,7 +213,7 @@ def _place_pins(
                     point = 0.5 * (a + b)
                     if curve_points.shape[0] > 0:
                         found = meeting_point(a, b, curve_points[curve_number(grid, layer, axis, bit) + curve])
-                        if is_in_hull(found, ends):
+                        if is_in_hull(found, ends, grid.inset):
                             point = found
                     at = corner + voxel
                     place = wp.vec3(float(at[0]), float(at[1]), float(at[2]))

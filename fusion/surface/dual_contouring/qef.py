@@ -3,16 +3,13 @@
 In C++, for several cells at once: this is most of the work of dual contouring.
 """
 
-INSET = 1e-3
-"""How far, in voxels, vertices keep from the border of their cell, face or edge: sheets never touch there."""
-
 REGULARISATION = 0.003
 """How much the centroid of the points counts, a plane: it decides where the planes leave a direction open."""
 
 SWEEPS = 24
 
 QEF_IN_CPP = (
-    f"constexpr float LOWEST = {INSET}f, HIGHEST = 1.0f - {INSET}f, WEIGHT = {REGULARISATION}f;\n"
+    f"const float LOWEST = inset, HIGHEST = 1.0f - inset; constexpr float WEIGHT = {REGULARISATION}f;\n"
     f"constexpr int SWEEPS = {SWEEPS};\n"
     """
     // Planes in voxels from the cell's lowest corner: with normals n and points p the sums of n n^T / n.n, of
@@ -54,7 +51,7 @@ QEF_IN_CPP = (
         best[1] = inverse * (cxy * e.right[0] + cyy * e.right[1] + cyz * e.right[2]);
         best[2] = inverse * (cxz * e.right[0] + cyz * e.right[1] + czz * e.right[2]);
     };
-    auto within = [](float x) { return x < LOWEST ? LOWEST : x > HIGHEST ? HIGHEST : x; };
+    auto within = [&](float x) { return x < LOWEST ? LOWEST : x > HIGHEST ? HIGHEST : x; };
     // A lane's minimum over the cell, a coordinate at a time, where the minimum over all space lies outside it.
     auto keep_within_cell = [&](const Equations &e, int lane, float *best) {
         bool inside = true;
@@ -76,4 +73,4 @@ QEF_IN_CPP = (
     };
 """
 )
-"""C++ for the top of a native function, after what says what ``V`` is (``lanes``)."""
+"""C++ for the top of a native function with an ``inset``, after what says what ``V`` is (``lanes``)."""

@@ -9,7 +9,7 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 # In C++ for its local arrays: the active cells of the eight layers around the edges are looked up once for all of them.
 _CORNERS_IN_CPP = """
-    struct { wp::uint64 active, several; int first, first_odd; } owners[8] = {};
+    struct { wp::uint64 active, several; int first, first_several; } owners[8] = {};
     for (int back = 0; back < 8; ++back) {
         const int holder = grid.cells.lower.data[8 * slot + ((back & 3) | (z == 0 ? back & 4 : 0))];
         const int layer = 8 * holder + ((z - (back >> 2)) & 7);
@@ -22,9 +22,9 @@ _CORNERS_IN_CPP = """
         const wp::uint64 before = ((wp::uint64)1 << bit) - 1;
         int vertex = owner.first + wp::bit_count(owner.active & before);
         if (owner.several) {
-            const int odd_cell = owner.first_odd + wp::bit_count(owner.several & before);
-            if (owner.several & before) vertex += grid.more.data[odd_cell - 1];
-            if ((owner.several >> bit) & 1) vertex += (int)(grid.codes.data[odd_cell] >> 4 * edge) & 15;
+            const int several_cell = owner.first_several + wp::bit_count(owner.several & before);
+            if (owner.several & before) vertex += grid.more.data[several_cell - 1];
+            if ((owner.several >> bit) & 1) vertex += (int)(grid.codes.data[several_cell] >> 4 * edge) & 15;
         }
         return vertex;
     };

@@ -11,13 +11,11 @@ In the coordinates here the edge is the third axis, from 0 to 1, and the cells l
 
 import warp as wp
 
-from fusion.surface.dual_contouring.qef import INSET
-
 FAN = wp.constant(2)
 """Stands for neither diagonal; 0 and 1 for that from corner 0, or from corner 1."""
 
 SPLIT_IN_CPP = (
-    f"constexpr float MARGIN = {0.5 * INSET}f, NOT_ALLOWED = 2.0f;\n"
+    "const float MARGIN = 0.5f * grid.inset; constexpr float NOT_ALLOWED = 2.0f;\n"
     f"constexpr int FAN = {FAN};\n"
     """
     struct Point { V x, y, z; };
@@ -56,4 +54,4 @@ SPLIT_IN_CPP = (
     };
 """
 )
-"""C++ for native functions, after what says what ``V`` is: ``choose_split`` of four corners and the 1-D point."""
+"""C++ for native functions with a ``grid``, after what says what ``V`` is: ``choose_split`` of four corners."""

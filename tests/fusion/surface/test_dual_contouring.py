@@ -93,12 +93,27 @@ def test_a_plane_is_met_exactly_without_cracks_between_blocks(device, storage):
     field = (lattice(size) @ normal - 21.7) / 25
     mesh = dual_contouring(volume_of(field, device, storage=storage), normals=True)
     away = np.abs(mesh.vertices @ normal - 21.7) / np.linalg.norm(normal)
-    assert away.max() < 2e-3  # vertices keep 1e-3 from borders, and packed distances are in steps of 1/32767
+    assert away.max() < 2e-3  # packed distances are in steps of 1/32767, of 25 voxels
     np.testing.assert_allclose(mesh.normals @ normal / np.linalg.norm(normal), 1, atol=1e-3)
     edges, uses = edge_uses(mesh)
     rim = mesh.vertices[edges[uses == 1]]
     on_the_border = (rim < 1) | (rim > size - 2)
     assert on_the_border.any(axis=2).all()
+
+
+@pytest.mark.parametrize("blocks_away", [0, 100, 4000])
+def test_however_far_from_the_origin_nothing_meets_itself_though_coordinates_are_rounded(device, blocks_away):
+    field = np.clip(closed_random_field(3, 14), -1, 1)
+    volume = volume_of(field, device, first_block=(blocks_away, -blocks_away, blocks_away), voxel_size=0.013)
+    mesh = dual_contouring(volume)
+    assert is_manifold(mesh)
+    assert self_intersections(mesh) == 0
+
+
+def test_a_plane_in_a_plane_of_the_lattice_is_met_as_closely_as_packed_voxels_tell(device):
+    field = np.broadcast_to((np.arange(20) - 9.0) / 4, (20, 20, 20))
+    mesh = dual_contouring(volume_of(np.clip(field, -1, 1), device, storage="packed", voxel_size=1.0))
+    assert np.abs(mesh.vertices[:, 2] - 9).max() < 4 / 32767
 
 
 def test_a_sphere_faces_outwards_and_has_its_volume(device, storage):

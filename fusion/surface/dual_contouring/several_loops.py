@@ -1,4 +1,4 @@
-"""Odd cells: those with several loops, each of which has a vertex; found and given their codes."""
+"""Cells with several loops, each of which has a vertex: found and given their codes."""
 
 import warp as wp
 
@@ -28,8 +28,8 @@ def maybe_several(low: wp.vec4ul, high: wp.vec4ul) -> wp.uint64:
 
 
 @wp.kernel
-def find_odd_cells(first: int, tables: CellTables, grid: DualGrid) -> None:
-    """Find a layer's cells with several loops and those with ambiguous faces; count vertices and odd cells."""
+def find_several_loops(first: int, tables: CellTables, grid: DualGrid) -> None:
+    """Find a layer's cells with several loops and those with ambiguous faces; count these cells and vertices."""
     layer = wp.tid() + first
     slot = layer >> 3
     z = layer & 7
@@ -55,8 +55,8 @@ def find_odd_cells(first: int, tables: CellTables, grid: DualGrid) -> None:
 
 
 @wp.kernel
-def write_odd_cells(first: int, tables: CellTables, grid: DualGrid) -> None:
-    """Write the codes of a layer's odd cells."""
+def write_several_loops(first: int, tables: CellTables, grid: DualGrid) -> None:
+    """Write the codes of a layer's cells with several loops."""
     layer = wp.tid() + first
     left = grid.several[layer]
     if left == NONE:
