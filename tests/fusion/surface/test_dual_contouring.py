@@ -103,7 +103,9 @@ def test_a_plane_is_met_exactly_without_cracks_between_blocks(device, storage):
 
 @pytest.mark.parametrize("blocks_away", [0, 100, 4000])
 def test_however_far_from_the_origin_nothing_meets_itself_though_coordinates_are_rounded(device, blocks_away):
-    field = np.clip(closed_random_field(3, 14), -1, 1)
+    # Of values of all sizes, so that the surface crowds around voxels.
+    sizes = 10 ** np.random.default_rng(4).uniform(-6, 0, (14, 14, 14))
+    field = np.clip(sizes * closed_random_field(3, 14), -1, 1)
     volume = volume_of(field, device, first_block=(blocks_away, -blocks_away, blocks_away), voxel_size=0.013)
     mesh = dual_contouring(volume)
     assert is_manifold(mesh)
