@@ -83,7 +83,7 @@ class _VoxelSums:
         numbers = np.floor(cloud.points_world / self._size)
         if (np.abs(numbers) >= FARTHEST_VOXEL).any():
             farthest = float(np.abs(cloud.points_world).max())
-            raise InputError(f"--voxel {self._size:g}: too small for points {farthest:.1f} m from the origin")
+            raise InputError(f"--voxel-size {self._size:g}: too small for points {farthest:.1f} m from the origin")
         x, y, z = (numbers.astype(np.int64) + FARTHEST_VOXEL).T
         values = np.column_stack([cloud.points_world, cloud.colors, np.ones(len(x))])
         voxels = np.concatenate([self._voxels, (x << 42) | (y << 21) | z])

@@ -58,10 +58,15 @@ def on_terminal() -> Iterator[ProgressReporter]:
         TimeElapsedColumn(),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=Console(stderr=True)) as progress:
+    progress = Progress(*columns, console=Console(stderr=True))
 
-        def report(stage: str, total: int) -> Callable[[], None]:
-            task = progress.add_task(stage, total=total)
-            return lambda: progress.advance(task)
+    def report(stage: str, total: int) -> Callable[[], None]:
+        progress.start()  # not before: what fails at once, or has nothing to do, draws no empty line
+        task = progress.add_task(stage, total=total)
+        return lambda: progress.advance(task)
 
+    try:
         yield report
+    finally:
+        if progress.tasks:
+            progress.stop()

@@ -1,8 +1,23 @@
-"""Types of command-line arguments that several commands take."""
+"""Arguments that several commands take, and their types."""
 
 import argparse
 import math
 import re
+
+
+def add_frames(command: argparse.ArgumentParser, *, default: str = "all") -> None:
+    """Add ``--frames``, which chooses some of a dataset's frames."""
+    command.add_argument(
+        "--frames",
+        metavar="START:STOP:STEP",
+        help=f"a Python slice over the frames, such as 0:100 or ::10; --frames=-20: where it begins with a minus "
+        f"(default: {default})",
+    )
+
+
+def add_json(command: argparse.ArgumentParser) -> None:
+    """Add ``--json``."""
+    command.add_argument("--json", action="store_true", help="print the result as JSON, and nothing else")
 
 
 def image_size(text: str) -> tuple[int, int]:

@@ -3,6 +3,7 @@
 import argparse
 from pathlib import Path
 
+from datagen.commands.arguments import add_frames
 from datagen.formats.convert import convert_dataset
 from datagen.formats.registry import FORMAT_NAMES, format_named
 from datagen.open_dataset import open_dataset
@@ -11,14 +12,14 @@ from datagen.progress import on_terminal
 
 def add_options(command: argparse.ArgumentParser) -> None:
     """Give the command's parser its options, and ``run``."""
-    command.add_argument("dataset", metavar="IN", type=Path, help="a dataset of any format; it is told by its files")
+    command.add_argument("dataset", metavar="IN", type=Path, help="a dataset of any format that can be read")
     command.add_argument("out", metavar="OUT", type=Path, help="folder of the new dataset: new or empty")
     command.add_argument("--format", required=True, choices=FORMAT_NAMES, help="format of the new dataset")
-    command.add_argument("--frames", metavar="START:STOP:STEP", help="which frames, as a Python slice (default: all)")
+    add_frames(command)
     command.add_argument(
         "--depth-scale",
         type=float,
-        metavar="METRES",
+        metavar="M",
         help="metres a step of the new depth images (default: as they are)",
     )
     command.set_defaults(run=_run)

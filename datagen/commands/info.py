@@ -4,6 +4,7 @@ import argparse
 import json
 from pathlib import Path
 
+from datagen.commands.arguments import add_json
 from datagen.dataset_summary import describe, summarise
 from datagen.open_dataset import open_dataset
 
@@ -11,7 +12,7 @@ from datagen.open_dataset import open_dataset
 def add_options(command: argparse.ArgumentParser) -> None:
     """Give the command's parser its options, and ``run``."""
     command.add_argument("dataset", metavar="DATASET", type=Path, help="a dataset of any format that can be read")
-    command.add_argument("--json", action="store_true", help="as JSON")
+    add_json(command)
     command.set_defaults(run=_run)
 
 

@@ -17,7 +17,7 @@ COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 
 def add_options(command: argparse.ArgumentParser) -> None:
     """Give the command's parser its options, and ``run``."""
-    command.add_argument("dataset", metavar="DATASET", type=Path, help="a dataset of ours")
+    command.add_argument("dataset", metavar="DATASET", type=Path, help="a Scanback dataset")
     for name in COEFFICIENTS:
         command.add_argument(f"--{name}", type=float, default=0.0, metavar="X", help=f"OpenCV's coefficient {name}")
     command.add_argument(

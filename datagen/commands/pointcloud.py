@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from datagen.commands.arguments import positive_length
+from datagen.commands.arguments import add_frames, positive_length
 from datagen.frame_selection import select_frames
 from datagen.open_dataset import open_dataset
 from datagen.point_cloud import dataset_points, write_point_cloud
@@ -12,11 +12,11 @@ from datagen.progress import on_terminal
 
 def add_options(command: argparse.ArgumentParser) -> None:
     """Give the command's parser its options, and ``run``."""
-    command.add_argument("dataset", metavar="DATASET", type=Path, help="a dataset of any format that datagen reads")
+    command.add_argument("dataset", metavar="DATASET", type=Path, help="a dataset of any format that can be read")
     command.add_argument("out", metavar="OUT.ply", type=Path, help="the file to write")
-    command.add_argument("--frames", metavar="START:STOP:STEP", help="a Python slice of the frames (default: all)")
+    add_frames(command)
     command.add_argument(
-        "--voxel", type=positive_length, metavar="M", help="one mean point for each cube of this side, metres"
+        "--voxel-size", type=positive_length, metavar="M", help="one mean point for each cube of this side, metres"
     )
     command.set_defaults(run=_run)
 
@@ -27,6 +27,6 @@ def _run(options: argparse.Namespace) -> None:
     dataset.require(frame_ids)
     with on_terminal() as progress:
         advance = progress("Reading", len(frame_ids))
-        cloud = dataset_points(dataset, frame_ids, voxel_size=options.voxel, advance=advance)
+        cloud = dataset_points(dataset, frame_ids, voxel_size=options.voxel_size, advance=advance)
     write_point_cloud(options.out, cloud)
     print(f"{options.out}: {len(cloud.points_world)} points of {len(frame_ids)} frames")

@@ -3,6 +3,7 @@
 import argparse
 from pathlib import Path
 
+from datagen.commands.arguments import add_frames
 from datagen.errors import InputError
 from datagen.frame_selection import select_frames
 from datagen.open_dataset import open_dataset
@@ -11,14 +12,14 @@ from datagen.progress import on_terminal
 
 def add_options(command: argparse.ArgumentParser) -> None:
     """Give the command's parser its options, and ``run``."""
-    command.add_argument("dataset", metavar="DATASET", type=Path, help="a dataset of any known format")
+    command.add_argument("dataset", metavar="DATASET", type=Path, help="a dataset of any format that can be read")
     command.add_argument(
         "--out",
         metavar="DIR",
         type=Path,
         help="folder of the pictures (default: NAME-preview here, NAME the dataset's)",
     )
-    command.add_argument("--frames", metavar="SLICE", help="only these, a Python slice: 0:100, ::10")
+    add_frames(command)
     command.add_argument("--depth", metavar="LAYER", help="a layer to show as depth, for example sensor_depth")
     command.set_defaults(run=_run)
 

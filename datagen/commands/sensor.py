@@ -18,7 +18,7 @@ SETTINGS = ("model", "seed", "axial", "lateral", "quantisation", "grazing", "sha
 
 def add_options(command: argparse.ArgumentParser) -> None:
     """Give the command's parser its options, and ``run``."""
-    command.add_argument("dataset", metavar="DATASET", type=Path, help="a dataset of ours")
+    command.add_argument("dataset", metavar="DATASET", type=Path, help="a Scanback dataset")
     command.add_argument("--model", choices=tuple(SENSORS), required=True, help="the sensor that is simulated")
     command.add_argument("--seed", type=int, metavar="N", help="of the noise (default: that of the rendering)")
     for name, what in (

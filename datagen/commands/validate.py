@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.padding import Padding
 from rich.text import Text
 
+from datagen.commands.arguments import add_frames, add_json
 from datagen.dataset_check.check import check_dataset
 from datagen.dataset_check.findings import CheckReport, Finding
 from datagen.frame_selection import select_frames
@@ -25,9 +26,9 @@ def add_options(command: argparse.ArgumentParser) -> None:
         "frames, damaged files. The exit code is 0 without faults, 1 with, 2 where nothing can be used."
     )
     command.add_argument("dataset", metavar="DATASET", type=Path, help="a dataset of any format that can be read")
-    command.add_argument("--frames", metavar="SLICE", help="START:STOP:STEP of the frames to check (default: all)")
+    add_frames(command)
     command.add_argument("--seed", type=int, default=0, metavar="N", help="of which pixels are compared (default: 0)")
-    command.add_argument("--json", action="store_true", help="as JSON")
+    add_json(command)
     command.set_defaults(run=_run)
 
 

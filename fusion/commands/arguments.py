@@ -9,13 +9,30 @@ from fusion.reconstruction_files import ReconstructionRecord
 from fusion.surface.meshers import Mesher, OracleName
 
 
-def add_frames(command: argparse.ArgumentParser) -> None:
-    """Add ``--frames``."""
-    command.add_argument(
-        "--frames",
-        metavar="START:STOP:STEP",
-        help="a Python slice over the frames; --frames=-20: if it begins with a minus",
-    )
+def add_dataset(command: argparse.ArgumentParser) -> None:
+    """Add the dataset that is fused."""
+    command.add_argument("dataset", metavar="DATASET", type=Path, help="a dataset of any format that can be read")
+
+
+def add_out_folder(command: argparse.ArgumentParser, *, resumed: bool = False) -> None:
+    """Add the folder of the result; ``resumed`` says that a second run goes on there."""
+    text = f"the folder to write{'; a second run goes on there' if resumed else ''}"
+    command.add_argument("out", metavar="OUT", type=Path, help=text)
+
+
+def add_voxel_size(command: argparse.ArgumentParser) -> None:
+    """Add ``--voxel-size``."""
+    command.add_argument("--voxel-size", type=float, metavar="M", help="metres (default: from the data)")
+
+
+def add_truncation(command: argparse.ArgumentParser) -> None:
+    """Add ``--truncation``."""
+    command.add_argument("--truncation", type=float, metavar="M", help="metres (default: 4 voxels)")
+
+
+def add_depth_max(command: argparse.ArgumentParser) -> None:
+    """Add ``--depth-max``."""
+    command.add_argument("--depth-max", type=float, metavar="M", help="metres; take farther depths as invalid")
 
 
 def add_depth_layer(command: argparse.ArgumentParser) -> None:
@@ -27,28 +44,30 @@ def add_depth_layer(command: argparse.ArgumentParser) -> None:
 
 def add_reconstruction(command: argparse.ArgumentParser) -> None:
     """Add the folder of a reconstruction."""
-    command.add_argument("reconstruction", type=Path, help="a folder that fusion reconstruct wrote")
+    command.add_argument(
+        "reconstruction", metavar="RECONSTRUCTION", type=Path, help="a folder that fusion reconstruct wrote"
+    )
 
 
 def add_remeshing(command: argparse.ArgumentParser) -> None:
     """Add ``--mesher`` and ``--oracle`` to a command that meshes what was meshed before."""
-    same = "as it was meshed before if not given"
-    command.add_argument("--mesher", choices=get_args(Mesher), help=f"marching cubes or dual contouring; {same}")
+    same = "(default: as it was meshed before)"
+    command.add_argument("--mesher", choices=get_args(Mesher), help=f"marching cubes or dual contouring {same}")
     command.add_argument(
         "--oracle",
         choices=get_args(OracleName),
-        help=f"what dual contouring goes by: the volume, or its dataset's depth images; {same}",
+        help=f"what dual contouring goes by: the volume, or its dataset's depth images {same}",
     )
 
 
 def add_device(command: argparse.ArgumentParser) -> None:
     """Add ``--device``."""
-    command.add_argument("--device", default="auto", metavar="auto|cpu|cuda[:N]")
-
-
-def add_json(command: argparse.ArgumentParser) -> None:
-    """Add ``--json``."""
-    command.add_argument("--json", action="store_true", help="print the result as JSON, and nothing else")
+    command.add_argument(
+        "--device",
+        default="auto",
+        metavar="auto|cpu|cuda[:N]",
+        help="where kernels run (default: a GPU if there is one)",
+    )
 
 
 def print_json(value: Any) -> None:

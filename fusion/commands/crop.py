@@ -3,17 +3,17 @@
 import argparse
 import math
 import re
-from pathlib import Path
 
+from datagen.commands.arguments import add_json
 from datagen.progress import on_terminal
-from fusion.commands.arguments import add_device, add_json, add_reconstruction, add_remeshing, print_record
+from fusion.commands.arguments import add_device, add_out_folder, add_reconstruction, add_remeshing, print_record
 from fusion.edit_reconstruction import crop_reconstruction
 
 
 def add_options(command: argparse.ArgumentParser) -> None:
     """Give the command's parser its options, and ``run``."""
     add_reconstruction(command)
-    command.add_argument("out", type=Path, help="the folder to write")
+    add_out_folder(command)
     for option in ("--low", "--high"):
         text = "a corner of the box, metres; _ for no bound along an axis, as in --low _ _ 0.05"
         command.add_argument(option, type=_bound, nargs=3, default=[None] * 3, metavar=("X", "Y", "Z"), help=text)

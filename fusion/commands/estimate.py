@@ -2,11 +2,18 @@
 
 import argparse
 from dataclasses import asdict
-from pathlib import Path
 
+from datagen.commands.arguments import add_frames, add_json
 from datagen.commands.job_options import add_job_options, reporting
 from datagen.open_dataset import open_dataset
-from fusion.commands.arguments import add_depth_layer, add_frames, add_json, print_result
+from fusion.commands.arguments import (
+    add_dataset,
+    add_depth_layer,
+    add_depth_max,
+    add_truncation,
+    add_voxel_size,
+    print_result,
+)
 from fusion.devices import available_devices
 from fusion.estimate import estimate
 from fusion.reconstruction_config import VOXELS_PER_TRUNCATION, check_length
@@ -14,10 +21,10 @@ from fusion.reconstruction_config import VOXELS_PER_TRUNCATION, check_length
 
 def add_options(command: argparse.ArgumentParser) -> None:
     """Give the command's parser its options, and ``run``."""
-    command.add_argument("dataset", type=Path, help="what would be fused")
-    command.add_argument("--voxel-size", type=float, metavar="M", help="metres; from the data if not given")
-    command.add_argument("--truncation", type=float, metavar="M", help="metres; 4 voxels if not given")
-    command.add_argument("--depth-max", type=float, metavar="M", help="take farther depths as invalid")
+    add_dataset(command)
+    add_voxel_size(command)
+    add_truncation(command)
+    add_depth_max(command)
     add_depth_layer(command)
     add_frames(command)
     add_json(command)

@@ -3,33 +3,47 @@
 import argparse
 from pathlib import Path
 
+from datagen.commands.arguments import add_frames, add_json
 from datagen.commands.job_options import add_job_options, reporting
 from datagen.errors import InputError
 from datagen.frame_selection import select_frames
 from datagen.open_dataset import open_dataset
-from fusion.commands.arguments import add_device, add_frames, add_json, print_json
+from fusion.commands.arguments import add_device, print_json
 from fusion.commands.metrics import print_metrics
 from fusion.devices import resolve_device
 from fusion.evaluation.evaluate import Observers, evaluate
 from fusion.evaluation.vertex_errors import write_vertex_errors
 from fusion.reconstruction_config import check_length
-from fusion.reconstruction_files import RECORD_FILE, ReconstructionRecord, read_record
+from fusion.reconstruction_files import MESH_FILE, RECORD_FILE, ReconstructionRecord, read_record
 from fusion.surface.mesh_files import read_mesh
 
 
 def add_options(command: argparse.ArgumentParser) -> None:
     """Give the command's parser its options, and ``run``."""
-    command.add_argument("mesh", type=Path)
-    command.add_argument("ground_truth", type=Path, help="a mesh, or a dataset that has one")
+    command.add_argument(
+        "mesh", metavar="MESH", type=Path, help="a mesh file, or a folder that fusion reconstruct wrote"
+    )
+    command.add_argument("ground_truth", metavar="TRUTH", type=Path, help="a mesh file, or a dataset that has one")
     command.add_argument(
         "--observed-by",
         type=Path,
         metavar="DATASET",
         help="cull the truth to what its frames saw, not to what the mesh's record says",
     )
-    command.add_argument("--threshold", type=float, action="append", metavar="M", help="of the F-score; repeatable")
-    command.add_argument("--voxel-size", type=float, metavar="M", help="to give lengths in voxels too")
-    add_frames(command)
+    command.add_argument(
+        "--threshold",
+        type=float,
+        action="append",
+        metavar="M",
+        help="metres; of the F-score, repeatable (default: a half and a whole voxel)",
+    )
+    command.add_argument(
+        "--voxel-size",
+        type=float,
+        metavar="M",
+        help="metres; to give lengths in voxels too (default: as the mesh was made)",
+    )
+    add_frames(command, default="those that were fused, else all")
     add_device(command)
     command.add_argument(
         "--vertex-errors", type=Path, metavar="FILE", help="also write how far each of the mesh's vertices is (.npy)"
@@ -45,13 +59,15 @@ def _run(options: argparse.Namespace) -> None:
             if value is not None:
                 check_length(option, value)
     # A reconstruction knows its voxel size and the frames that observed it.
-    folder = options.mesh.parent
+    mesh_file = options.mesh / MESH_FILE if options.mesh.is_dir() else options.mesh
+    folder = mesh_file.parent
+    ours = read_mesh(mesh_file)
     record = read_record(folder) if (folder / RECORD_FILE).is_file() else None
     voxel_size = options.voxel_size or (record.voxel_size_m if record else None)
     thresholds = options.threshold or ([voxel_size / 2, voxel_size] if voxel_size else None)
     if thresholds is None:
         raise InputError(f"{options.mesh}: its voxel size is not known; give --voxel-size or --threshold")
-    ours, ground_truth = read_mesh(options.mesh), read_mesh(_ground_truth_file(options.ground_truth))
+    ground_truth = read_mesh(_ground_truth_file(options.ground_truth))
     with reporting(options) as progress:
         metrics = evaluate(
             ours,

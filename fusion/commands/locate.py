@@ -7,10 +7,11 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Column, Table
 
+from datagen.commands.arguments import add_frames, add_json
 from datagen.commands.job_options import add_job_options, reporting
 from datagen.errors import InputError
 from datagen.open_dataset import open_dataset
-from fusion.commands.arguments import add_device, add_frames, add_json, print_json
+from fusion.commands.arguments import add_device, print_json
 from fusion.pose.epipolar import FEATURES
 from fusion.pose.locate import LocateOptions, frames_to_locate, locate_queries, write_poses
 from fusion.pose.located_picture import require_png, write_picture
@@ -58,11 +59,16 @@ def add_options(command: argparse.ArgumentParser) -> None:
     command.epilog = EPILOG
     command.formatter_class = argparse.RawDescriptionHelpFormatter
     command.add_argument(
-        "model", type=Path, help="a folder that fusion reconstruct wrote, or a mesh: .ply, .obj, .glb, .stl (.xyz)"
+        "model",
+        metavar="MODEL",
+        type=Path,
+        help="a folder that fusion reconstruct wrote, or a mesh: .ply, .obj, .glb, .stl (.xyz)",
     )
-    command.add_argument("dataset", type=Path, nargs="?", help="where the query frames are; not with --color, --depth")
+    command.add_argument(
+        "dataset", metavar="DATASET", type=Path, nargs="?", help="where the query frames are; not with --color, --depth"
+    )
     _add_query(command)
-    add_frames(command)
+    add_frames(command, default="all that were not fused")
     command.add_argument("--stages", metavar="A,B", help="nearest, then any of epipolar, silhouette, depth")
     command.add_argument(
         "--features", choices=FEATURES, default="sift", help="what the epipolar stage matches (default: sift)"

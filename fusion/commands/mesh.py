@@ -7,17 +7,19 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from datagen.commands.arguments import positive
+from datagen.commands.arguments import add_json, positive
 from datagen.progress import on_terminal
-from fusion.commands.arguments import add_device, add_json, print_json
+from fusion.commands.arguments import add_device, print_json
 from fusion.edit_mesh import MeshEdits, edit_mesh
 from fusion.surface.mesh_files import WRITABLE
 
 
 def add_options(command: argparse.ArgumentParser) -> None:
     """Give the command's parser its options, and ``run``."""
-    command.add_argument("mesh", type=Path, help="a mesh file, or a folder that fusion reconstruct wrote")
-    command.add_argument("out", type=Path, help=f"the file to write: {', '.join(WRITABLE)}")
+    command.add_argument(
+        "mesh", metavar="MESH", type=Path, help="a mesh file, or a folder that fusion reconstruct wrote"
+    )
+    command.add_argument("out", metavar="OUT", type=Path, help=f"the file to write: {', '.join(WRITABLE)}")
     command.add_argument("--largest-component", action="store_true", help="keep only the part with the largest area")
     command.add_argument("--min-triangles", type=positive, metavar="N", help="leave out parts with fewer")
     command.add_argument(

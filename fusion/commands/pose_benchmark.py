@@ -8,9 +8,10 @@ from typing import get_args
 from rich.console import Console
 from rich.table import Table
 
+from datagen.commands.arguments import add_json
 from datagen.errors import InputError
 from datagen.progress import on_terminal
-from fusion.commands.arguments import add_device, add_json, print_json
+from fusion.commands.arguments import add_device, add_out_folder, add_voxel_size, print_json
 from fusion.pose_benchmark.object_box import ObjectBox
 from fusion.pose_benchmark.protocol import TRIAL_NAMES, parse_trials
 from fusion.pose_benchmark.subjects import Kind
@@ -20,8 +21,14 @@ from fusion.reconstruction_config import check_length
 
 def add_options(command: argparse.ArgumentParser) -> None:
     """Give the command's parser its options, and ``run``."""
-    command.add_argument("dataset", type=Path, nargs="+", help="datasets, or a folder of YCB-Video's frames and models")
-    command.add_argument("out", type=Path, help="the folder to write; a second run goes on there")
+    command.add_argument(
+        "dataset",
+        metavar="DATASET",
+        type=Path,
+        nargs="+",
+        help="datasets, or a folder of YCB-Video's frames and models",
+    )
+    add_out_folder(command, resumed=True)
     command.add_argument(
         "--protocol",
         choices=get_args(Kind),
@@ -34,9 +41,9 @@ def add_options(command: argparse.ArgumentParser) -> None:
         help="the frames to fuse (default: all but every fifth of an object, every tenth of a room)",
     )
     command.add_argument(
-        "--frames", metavar="START:STOP:STEP", help="a Python slice over the frames that are not fused; all by default"
+        "--frames", metavar="START:STOP:STEP", help="a Python slice over the frames that are not fused (default: all)"
     )
-    command.add_argument("--voxel-size", type=float, metavar="M", help="metres; from the data if not given")
+    add_voxel_size(command)
     command.add_argument(
         "--box",
         type=float,
@@ -44,7 +51,9 @@ def add_options(command: argparse.ArgumentParser) -> None:
         metavar=("X", "Y", "Z", "X", "Y", "Z"),
         help="where in the world the object is, its low and its high corner, metres: all else is masked",
     )
-    command.add_argument("--seed", type=int, default=0, help="of starts, noise and occluders (default: %(default)s)")
+    command.add_argument(
+        "--seed", type=int, default=0, metavar="N", help="of starts, noise and occluders (default: %(default)s)"
+    )
     add_device(command)
     add_json(command)
     command.set_defaults(run=_run)

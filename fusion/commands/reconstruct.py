@@ -7,10 +7,19 @@ from typing import get_args
 from rich.console import Console
 from rich.table import Table
 
-from datagen.commands.arguments import positive
+from datagen.commands.arguments import add_frames, add_json, positive
 from datagen.commands.job_options import add_job_options, reporting
 from datagen.open_dataset import open_dataset
-from fusion.commands.arguments import add_depth_layer, add_device, add_frames, add_json, print_json
+from fusion.commands.arguments import (
+    add_dataset,
+    add_depth_layer,
+    add_depth_max,
+    add_device,
+    add_out_folder,
+    add_truncation,
+    add_voxel_size,
+    print_json,
+)
 from fusion.commands.metrics import print_metrics
 from fusion.integration.options import DepthSampling, Integration, Weighting
 from fusion.reconstruct import reconstruct
@@ -23,11 +32,11 @@ from fusion.volume.voxels import Storage
 
 def add_options(command: argparse.ArgumentParser) -> None:
     """Give the command's parser its options, and ``run``."""
-    command.add_argument("dataset", type=Path, help="a Scanback dataset or a 7-Scenes sequence")
-    command.add_argument("out", type=Path, help="the folder to write")
-    command.add_argument("--voxel-size", type=float, metavar="M", help="metres; from the data if not given")
-    command.add_argument("--truncation", type=float, metavar="M", help="metres; 4 voxels if not given")
-    command.add_argument("--depth-max", type=float, metavar="M", help="take farther depths as invalid")
+    add_dataset(command)
+    add_out_folder(command)
+    add_voxel_size(command)
+    add_truncation(command)
+    add_depth_max(command)
     add_depth_layer(command)
     _add_integration(command)
     _add_meshing(command)
@@ -62,11 +71,17 @@ def _add_integration(command: argparse.ArgumentParser) -> None:
         "--drop-off",
         action=argparse.BooleanOptionalAction,
         default=defaults.integration.drop_off,
-        help="let the weight fall to nothing behind the surface (default: %(default)s)",
+        help="let the weight fall to nothing behind the surface (default: it does)",
     )
-    command.add_argument("--weight-cap", type=float, metavar="W", help="the most a voxel's past counts, in frames")
     command.add_argument(
-        "--min-weight", type=float, default=defaults.min_weight, metavar="W", help="mesh only what was seen more often"
+        "--weight-cap", type=float, metavar="W", help="the most a voxel's past counts, in frames (default: all)"
+    )
+    command.add_argument(
+        "--min-weight",
+        type=float,
+        default=defaults.min_weight,
+        metavar="W",
+        help="mesh only what was seen more often (default: %(default)s)",
     )
     command.add_argument(
         "--storage",

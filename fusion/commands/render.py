@@ -3,23 +3,21 @@
 import argparse
 from pathlib import Path
 
-from datagen.commands.arguments import image_size
+from datagen.commands.arguments import add_json, image_size
 from datagen.commands.job_options import add_job_options, reporting
 from datagen.dataset import read_pose
-from fusion.commands.arguments import add_device, add_json, add_reconstruction, print_result
+from fusion.commands.arguments import add_device, add_out_folder, add_reconstruction, print_result
 from fusion.render import render
 
 
 def add_options(command: argparse.ArgumentParser) -> None:
     """Give the command's parser its options, and ``run``."""
     add_reconstruction(command)
-    command.add_argument("out", type=Path, help="the folder to write")
+    add_out_folder(command)
     view = command.add_mutually_exclusive_group(required=True)
     view.add_argument("--frame", type=int, metavar="N", help="from the pose of this frame")
     view.add_argument("--pose", type=Path, metavar="FILE", help="from this pose: 4×4 world_from_camera, as text")
-    command.add_argument(
-        "--size", type=image_size, metavar="WxH", help="image size in pixels; the frames' if not given"
-    )
+    command.add_argument("--size", type=image_size, metavar="WxH", help="image size in pixels (default: the frames')")
     add_device(command)
     add_json(command)
     add_job_options(command)

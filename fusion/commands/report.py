@@ -4,22 +4,27 @@ import argparse
 from dataclasses import replace
 from pathlib import Path
 
+from datagen.commands.arguments import add_frames
 from datagen.commands.job_options import add_job_options, reporting
 from datagen.dataset import Dataset
 from datagen.frame_selection import select_frames
 from datagen.open_dataset import open_dataset
-from fusion.commands.arguments import add_device, add_frames
+from fusion.commands.arguments import add_depth_max, add_device, add_out_folder, add_voxel_size
 from fusion.reconstruction_config import ReconstructionConfig
 from fusion.report.report import write_report
 
 
 def add_options(command: argparse.ArgumentParser) -> None:
     """Give the command's parser its options, and ``run``."""
-    command.add_argument("dataset", type=Path, nargs="+", help="datasets of ours, or 7-Scenes sequences")
-    command.add_argument("out", type=Path, help="the folder to write; a second run goes on there")
-    command.add_argument("--voxel-size", type=float, metavar="M", help="metres; from the data if not given")
-    command.add_argument("--depth-max", type=float, metavar="M", help="take farther depths as invalid")
-    command.add_argument("--view-frame", type=int, metavar="N", help="take pictures from this frame's pose")
+    command.add_argument(
+        "dataset", metavar="DATASET", type=Path, nargs="+", help="datasets of any format that can be read"
+    )
+    add_out_folder(command, resumed=True)
+    add_voxel_size(command)
+    add_depth_max(command)
+    command.add_argument(
+        "--view-frame", type=int, metavar="N", help="take pictures from this frame's pose (default: the first)"
+    )
     add_frames(command)
     add_device(command)
     add_job_options(command)

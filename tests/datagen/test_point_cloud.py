@@ -72,7 +72,7 @@ def test_a_voxel_that_is_too_small_for_the_scene_is_refused(wall):
 
 
 def test_the_command_writes_what_other_programs_read(wall, tmp_path, capsys):
-    assert main(["pointcloud", str(wall), str(tmp_path / "points.ply"), "--frames", "0:1", "--voxel", "0.05"]) == 0
+    assert main(["pointcloud", str(wall), str(tmp_path / "points.ply"), "--frames", "0:1", "--voxel-size", "0.05"]) == 0
     cloud = trimesh.load(tmp_path / "points.ply")
     assert f"{len(cloud.vertices)} points of 1 frames" in capsys.readouterr().out
     assert np.abs(cloud.vertices[:, 1]).max() < 1e-4
