@@ -26,8 +26,10 @@ GROWTH_VIEW = 1 / 3
 
 
 def frame_counts(available: int) -> list[int]:
-    """Return how many frames figure 7 takes, of so many."""
+    """Return how many frames figure 7 takes, of so many: where there are few, a quarter, half and all of them."""
     counts = [count for count in FRAME_COUNTS if count < available]
+    if len(counts) < 2:
+        return sorted({max(available // 4, 1), max(available // 2, 1), available})
     return counts if len(counts) == len(FRAME_COUNTS) else [*counts, available]
 
 

@@ -36,15 +36,13 @@ from fusion.surface.dual_contouring.oracle import Oracle
 from fusion.surface.mesh import Mesh
 from fusion.surface.mesh_files import read_mesh, write_mesh
 from fusion.surface.meshers import KERNEL_MODULES, mesh_volume
+from fusion.volume.memory_budget import bytes_per_block
 from fusion.volume.tsdf_volume import Volume
 from fusion.volume.volume_file import load_volume
-from fusion.volume.voxels import BYTES_PER_VOXEL
 
 TIMING_FILE = "timing.json"
 TIMED_FOR = 0.5
 """Seconds for which meshing is repeated, to find the least that it takes."""
-
-VOXELS_PER_BLOCK = 512
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,7 +62,7 @@ class Run:
     @property
     def volume_bytes(self) -> int:
         """How much memory the volume's blocks take."""
-        return self.record.blocks * VOXELS_PER_BLOCK * BYTES_PER_VOXEL[self.record.config["storage"]]
+        return self.record.blocks * bytes_per_block(self.record.config["storage"])
 
 
 def run(dataset: Dataset, folder: Path, config: ReconstructionConfig, *, keep_volume: bool = False) -> Run:
