@@ -5,13 +5,14 @@ import warp as wp
 from fusion.devices import launch_in_slabs
 from fusion.frames.depth_tiles import DepthTiles
 
-wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+_BLOCK_THREADS = 64
+# Said here too, or loading the module ahead would make it for blocks that it is not launched with.
+wp.set_module_options({"enable_backward": False, "max_unroll": 1, "block_dim": _BLOCK_THREADS})
 
 LEVELS = 6
 """Level l has squares of 2^l tiles."""
 
 _LEVELS = wp.constant(LEVELS)
-_BLOCK_THREADS = 64
 
 # A square is the largest of four of the level before. On CUDA a block of threads shares a frame's rows; on the CPU one
 # thread has them all, and the columns become vector lanes.

@@ -90,6 +90,9 @@ class FrameUploader:
         sets = turns if device.is_cuda else 1
         self._turns = [_Buffers(camera, capacity, depth_type, device) for _ in range(sets)]
         self._copy_stream = wp.Stream(device) if device.is_cuda else None
+        if self._copy_stream is not None:
+            # The buffers belong to the kernels' stream; until then their memory may be what an earlier kernel reads.
+            self._copy_stream.wait_stream(wp.get_stream(device))
 
     def __call__(
         self,

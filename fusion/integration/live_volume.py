@@ -50,8 +50,7 @@ class LiveVolume:
     ``voxel_size`` and ``truncation`` (4 voxels if not given) are metres. Frames have depth in metres, float32, or with
     ``depth_scale`` (metres a step) in uint16 steps, 0 and 65535 invalid. ``integration`` is that of a reconstruction if
     not given; ``storage`` is full, so that frames can be removed exactly. ``device`` is auto, cpu or cuda[:N].
-    ``max_blocks`` bounds the volume, by the free memory if not given. ``volume`` is the fused volume itself, for ray
-    casting, saving or merging; call ``finish`` before reading it. Raises InputError for options that make no volume.
+    ``max_blocks`` bounds the volume, by the free memory if not given. Raises InputError for options that make none.
     """
 
     def __init__(
@@ -78,7 +77,7 @@ class LiveVolume:
             raise InputError(f"max_blocks {max_blocks}: expected 1 to {INDEX_LIMIT}")
         self.integration = config.integration
         on = resolve_device(device)
-        self.volume = Volume(
+        self._volume = Volume(
             voxel_size=lengths.voxel_size,
             truncation=lengths.truncation,
             device=on,
@@ -104,6 +103,12 @@ class LiveVolume:
         self._outcome = wp.zeros(2, dtype=int, device=on)
         self._changed = wp.zeros(0, dtype=wp.uint8, device=on)
         self._reserve()
+
+    @property
+    def volume(self) -> Volume:
+        """The fused volume itself, for ray casting, saving or merging, with every frame in it: see ``finish``."""
+        self.finish()
+        return self._volume
 
     @property
     def frame_ids(self) -> tuple[int, ...]:
@@ -132,7 +137,7 @@ class LiveVolume:
         self._launch(slot)
         slot.frame_id = frame.frame_id
         self._prints[frame.frame_id] = fingerprint(frame, pixel_weights)
-        if self.volume.device.is_cpu:
+        if self._volume.device.is_cpu:
             self._settle(slot)
         if earlier is not None:
             raise earlier
@@ -159,7 +164,7 @@ class LiveVolume:
         self._integrate(batch, blocks=self._blocks_at.pop(frame.frame_id), remove=True)
         del self._prints[frame.frame_id]
         if not self._prints:
-            for array in self.volume.arrays().values():
+            for array in self._volume.arrays().values():
                 array.zero_()
 
     def finish(self) -> None:
@@ -170,7 +175,7 @@ class LiveVolume:
     def mesh(self, *, min_weight: float = 0.0, normals: bool = False) -> Mesh:
         """Return the mesh of the whole volume."""
         self.finish()
-        return marching_cubes(self.volume, min_weight=min_weight, normals=normals)
+        return marching_cubes(self._volume, min_weight=min_weight, normals=normals)
 
     def mesh_changes(self) -> dict[int, MeshPiece | None]:
         """Return the meshes of the blocks that changed since the last call, by block number; None where one vanished.
@@ -178,10 +183,10 @@ class LiveVolume:
         ``fusion.surface.mesh_pieces.weld`` joins the pieces of all blocks to the mesh of the whole volume.
         """
         self.finish()
-        changed = np.flatnonzero(self._changed.numpy()[: self.volume.table.count])
+        changed = np.flatnonzero(self._changed.numpy()[: self._volume.table.count])
         self._changed.zero_()
         before = set(self._pieces.pieces)
-        stale = self._pieces.update(self.volume, changed).tolist()
+        stale = self._pieces.update(self._volume, changed).tolist()
         pieces = self._pieces.pieces
         return {number: pieces.get(number) for number in stale if number in pieces or number in before}
 
@@ -191,7 +196,7 @@ class LiveVolume:
 
     def _make_room(self) -> None:
         """Let the table grow before it is full."""
-        table = self.volume.table
+        table = self._volume.table
         if 4 * table.count > 3 * len(table.blocks) and len(table.blocks) < table.max_blocks:
             self.finish()
             table.grow()
@@ -199,7 +204,7 @@ class LiveVolume:
 
     def _launch(self, slot: LiveSlot) -> None:
         """Start all that a frame does; on CUDA by its graph, captured after the kernels ran once."""
-        device = self.volume.device
+        device = self._volume.device
         assert slot.batch is not None, "a slot is launched with a frame in it"
         # The user's weights lie elsewhere each time, which no graph knows of.
         may_capture = device.is_cuda and slot.batch.pixel_weights is None and wp.is_mempool_enabled(device)
@@ -216,7 +221,7 @@ class LiveVolume:
 
     def _find_and_integrate(self, slot: LiveSlot) -> None:
         assert slot.batch is not None, "a slot is launched with a frame in it"
-        volume = self.volume
+        volume = self._volume
         tiles = survey_batch(slot.batch, truncation=volume.truncation)
         answers = self._find_blocks(slot.batch, tiles)
         note_outcome(answers, volume.table.arrays, self._outcome, device=volume.device)
@@ -225,7 +230,7 @@ class LiveVolume:
 
     def _find_blocks(self, batch: FrameBatch, tiles: DepthTiles) -> wp.array:
         """Enter a frame's blocks as far as there is room; returns what stood in the way."""
-        volume = self.volume
+        volume = self._volume
         matrices = frame_matrices(batch, volume.voxel_size)
         return launch_find_blocks(
             volume.table, batch, tiles, matrices, truncation=volume.truncation, voxel_size=volume.voxel_size
@@ -242,7 +247,7 @@ class LiveVolume:
     ) -> None:
         """Integrate a frame into the first ``blocks`` blocks, or ``hold_back`` where it found no room for its own."""
         masks = integrate_batch(
-            self.volume,
+            self._volume,
             batch,
             self.integration,
             remove=remove,
@@ -250,7 +255,7 @@ class LiveVolume:
             blocks=blocks,
             problem=self._outcome if hold_back else None,
         )
-        note_changes(masks, self._changed, blocks=blocks, device=self.volume.device)
+        note_changes(masks, self._changed, blocks=blocks, device=self._volume.device)
 
     def _settle(self, slot: LiveSlot) -> None:
         """See to it that a slot's frame is in every block that it asked for."""
@@ -260,11 +265,11 @@ class LiveVolume:
             wp.synchronize_event(slot.done)
         problem, count = slot.outcome.numpy().tolist()
         frame_id, slot.frame_id = slot.frame_id, None
-        table = self.volume.table
+        table = self._volume.table
         table.count = max(table.count, count)
         try:
             if problem == OUT_OF_RANGE:
-                raise out_of_range(self.volume.voxel_size)
+                raise out_of_range(self._volume.voxel_size)
             if problem == TABLE_FULL:
                 self._grow_for(slot.batch)
                 self._integrate(slot.batch, blocks=table.count)
@@ -276,7 +281,7 @@ class LiveVolume:
 
     def _grow_for(self, batch: FrameBatch) -> None:
         """Let the table grow until all blocks of a frame have entered."""
-        table, volume = self.volume.table, self.volume
+        table, volume = self._volume.table, self._volume
         wp.synchronize_device(volume.device)
         tiles = survey_batch(batch, truncation=volume.truncation)
         problem = TABLE_FULL
@@ -290,9 +295,9 @@ class LiveVolume:
 
     def _reserve(self) -> None:
         """Make room for as many blocks as the table can number; graphs of the old arrays are of no use any more."""
-        table = self.volume.table
-        self.volume.reserve(len(table.blocks))
-        changed = wp.zeros(len(table.blocks), dtype=wp.uint8, device=self.volume.device)
+        table = self._volume.table
+        self._volume.reserve(len(table.blocks))
+        changed = wp.zeros(len(table.blocks), dtype=wp.uint8, device=self._volume.device)
         if len(self._changed):
             wp.copy(changed, self._changed)
         self._changed = changed

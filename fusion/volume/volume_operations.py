@@ -151,6 +151,8 @@ def _combine(volumes: Sequence[Volume], blocks: NDArray[np.int32], *, storage: S
         max_blocks=len(blocks),
         storage=storage,
     )
+    if not len(blocks):
+        return result
     result.table.adopt(blocks)
     result.reserve(len(blocks))
     sources = wp.empty((len(volumes), len(blocks)), dtype=int, device=device)

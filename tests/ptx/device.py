@@ -72,6 +72,10 @@ def _number(value: Any) -> int:
     return int(value) if isinstance(value, int) else int(getattr(value, "value", None) or 0)
 
 
+def _constant(value: Any) -> Callable[..., Any]:
+    return lambda *_: value
+
+
 class Machine:
     """Warp's native library with a CUDA device in it.
 
@@ -86,22 +90,29 @@ class Machine:
         self.order = order
         self.optimise = optimise
         self.launched: Counter[str] = Counter()
+        self.loaded: list[str] = []
+        self.device: Any = None
         self._handles: dict[int, Any] = {}
         self._numbers = itertools.count(1)
         self._contexts: list[int | None] = [None]
-        self._freed_in_capture: set[int] = set()
+        self._graphs_own: set[int] = set()
         self._lock = threading.RLock()
 
     def __getattr__(self, name: str) -> Any:
-        if name in _PROPERTIES:
-            return lambda *_: _PROPERTIES[name]
+        if not name.startswith("wp_"):
+            raise AttributeError(name)
         done_here = getattr(type(self), "do_" + name.removeprefix("wp_"), None)
-        if done_here is not None:
-            return self._locked(done_here)
         needs_a_driver = name.startswith(_NEEDS_A_DRIVER) or name.endswith("_device")
-        if needs_a_driver and name not in _PASSED_ON:
+        if done_here is not None:
+            function = self._locked(done_here)
+        elif name in _PROPERTIES:
+            function = _constant(_PROPERTIES[name])
+        elif needs_a_driver and name not in _PASSED_ON:
             raise NotImplementedError(f"{name}: not among the functions of a CUDA device that tests stand in for")
-        return getattr(self.core, name)
+        else:
+            function = getattr(self.core, name)
+        self.__dict__[name] = function  # found at once the next time
+        return function
 
     def _locked(self, function: Callable[..., Any]) -> Callable[..., Any]:
         def call(*args: Any) -> Any:
@@ -156,17 +167,17 @@ class Machine:
     def do_alloc_device_async(self, _context: Any, size: int, stream: Any, _tag: Any) -> int:
         begin = self.memory.allocate(size, pinned=False)
         number = self._stream(stream)
+        # There from this operation of the stream on, in a graph at each launch: other streams have to wait for it.
+        self.streams.issue(number, lambda: self.memory.poison(begin))
         if self.streams.streams[number].capture is not None:
-            # Each launch of the graph allocates anew.
-            self.streams.issue(number, lambda: self.memory.poison(begin))
-            self._freed_in_capture.add(begin)
+            self._graphs_own.add(begin)
         return begin
 
     def do_free_device_async(self, _context: Any, pointer: Any, _node: Any) -> None:
         begin = _number(pointer)
-        if begin in self._freed_in_capture:
+        if begin in self._graphs_own:
             # The graph keeps it: the next launch writes there again.
-            self._freed_in_capture.remove(begin)
+            self._graphs_own.remove(begin)
             if self.streams.capturing():
                 self.streams.issue(self.streams.current, lambda: self.memory.poison(begin))
             return
@@ -363,6 +374,7 @@ class Machine:
 
     def do_cuda_load_module(self, _context: Any, path: bytes) -> int:
         place = Path(path.decode())
+        self.loaded.append(place.name)
         return self._handle(load(place.read_bytes().decode("latin1"), place.parent, optimise=self.optimise))
 
     def do_cuda_get_kernel(self, _context: Any, module: Any, name: bytes) -> int:

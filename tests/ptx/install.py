@@ -12,37 +12,66 @@ from fusion.devices import resolve_device
 from ptx.device import Machine
 
 
+def _machine(*, optimise: bool) -> Machine:
+    """Return Warp's native library with the device in it; once put there it stays: things of the device outlive it."""
+    resolve_device("cpu")
+    runtime = context.runtime
+    if not isinstance(runtime.core, Machine):
+        runtime.core = Machine(runtime.core, optimise=optimise)
+        runtime.driver_version = (13, 0)
+        runtime.cuda_custom_context_count = [0]
+        runtime.default_ptx_arch = 90
+        wp.config.cuda_output = "ptx"
+    return runtime.core
+
+
+def _device(machine: Machine) -> context.Device:
+    if machine.device is None:
+        machine.device = context.Device(context.runtime, "cuda:0", ordinal=0, is_primary=True)
+    return machine.device
+
+
 def install(machine: Machine) -> None:
     """Let Warp find a CUDA device, as it does where there is one; it becomes Warp's default, as there."""
     runtime = context.runtime
     assert not runtime.cuda_devices, "a real device needs none beside it"
-    runtime.core = machine
-    runtime.driver_version = (13, 0)
-    runtime.cuda_custom_context_count = [0]
-    runtime.default_ptx_arch = 90
-    wp.config.cuda_output = "ptx"
-    wp.config.launch_array_access_mode = wp.config.LaunchArrayAccessMode.STRICT
-    device = context.Device(runtime, "cuda:0", ordinal=0, is_primary=True)
+    device = _device(machine)
     runtime.cuda_devices.append(device)
     runtime.cuda_primary_devices.append(device)
     runtime.device_map["cuda:0"] = device
     runtime.set_default_device("cuda:0")
+    # No kernel is to be given an array of another device: on this one it might even work.
+    wp.config.launch_array_access_mode = wp.config.LaunchArrayAccessMode.STRICT
+
+
+def _uninstall() -> None:
+    runtime = context.runtime
+    runtime.cuda_devices.clear()
+    runtime.cuda_primary_devices.clear()
+    del runtime.device_map["cuda:0"]
+    runtime.set_default_device("cpu")
+    wp.config.launch_array_access_mode = wp.config.LaunchArrayAccessMode.RELAXED
 
 
 @contextmanager
-def ptx_device(*, late: bool = False, order: int = 0, optimise: bool = False) -> Iterator[Machine]:
-    """Have Warp's ``cuda:0`` be PTX on the CPU."""
-    resolve_device("cpu")
-    machine = Machine(context.runtime.core, late=late, order=order, optimise=optimise)
+def ptx_device(*, late: bool = False, order: int = 0) -> Iterator[Machine]:
+    """Have Warp's ``cuda:0`` be PTX on the CPU: see ``Machine``."""
+    machine = _machine(optimise=False)
     install(machine)
-    yield machine
+    machine.order, machine.streams.late = order, late
+    try:
+        yield machine
+        machine.streams.synchronize()
+    finally:
+        machine.order, machine.streams.late = 0, False
+        _uninstall()
 
 
 def install_for_all(asked: str) -> None:
-    """Have a device for the whole process: ``late``, or the order of threads as a number (1 is said for 0)."""
-    late = asked == "late"
-    order = int(asked) - 1 if asked.isdigit() else 0
-    machine = Machine(context.runtime.core, late=late, order=order, optimise=True)
+    """Have a device for the whole process: ``late``, or the order of threads as a number, 1 for ascending."""
+    machine = _machine(optimise=True)
+    machine.streams.late = asked == "late"
+    machine.order = int(asked) - 1 if asked.isdigit() else 0
     install(machine)
 
     def report() -> None:

@@ -165,6 +165,13 @@ def test_a_copy_in_the_same_storage_is_the_same(device, storage):
     np.testing.assert_array_equal(mesh.vertices, other.vertices)
 
 
+@pytest.mark.parametrize("storage", STORAGES)
+def test_a_copy_of_an_empty_volume_is_empty(device, storage):
+    empty = Volume(voxel_size=0.01, truncation=0.04, device=device, max_blocks=100, storage=storage)
+    assert to_storage(empty, "full").table.count == 0
+    assert merge([empty, empty]).table.count == 0
+
+
 def test_packing_rounds_as_it_says(device):
     exact = {name: array.numpy() for name, array in sphere_volume(device).arrays().items()}
     packed = sphere_volume(device, "packed")
