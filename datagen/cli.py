@@ -1,10 +1,8 @@
 """The command line ``datagen``: render a scene, tell what a dataset holds."""
 
-import sys
 from collections.abc import Sequence
 
-from datagen.commands.command_line import parse_command_line, watch_parent
-from datagen.errors import InputError, WorkerError
+from datagen.commands.command_line import run_command_line
 
 COMMANDS = {
     "render": "render a scene into a dataset; goes on where a killed run stopped",
@@ -19,23 +17,13 @@ COMMANDS = {
     "merge": "put shards that were rendered apart into one dataset",
 }
 
-EXIT_FAILURE = 1
-EXIT_INPUT_ERROR = 2
-EXIT_INTERRUPTED = 130
-
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; returns the exit code."""
-    try:
-        options = parse_command_line("datagen", "Make and look at posed RGB-D datasets.", COMMANDS, arguments)
-        watch_parent(options)
-        return options.run(options) or 0
-    except InputError as error:
-        print(f"datagen: error: {error}", file=sys.stderr)
-        return EXIT_INPUT_ERROR
-    except WorkerError as error:
-        print(f"datagen: error: {error}", file=sys.stderr)
-        return EXIT_FAILURE
-    except KeyboardInterrupt:
-        print("datagen: interrupted; what is finished is kept, and the same command goes on there", file=sys.stderr)
-        return EXIT_INTERRUPTED
+    """Run one command; returns the exit code.
+
+    That is 0, 1 for faults that were found or a Blender that failed, 2 for input that cannot be used, and 130 where
+    interrupted.
+    """
+    description = "Make and look at posed RGB-D datasets."
+    interrupted = "what is finished is kept, and the same command goes on there"
+    return run_command_line("datagen", description, COMMANDS, arguments, interrupted=interrupted)

@@ -3,7 +3,9 @@
 from pathlib import Path
 
 from datagen.dataset import Dataset
+from datagen.dataset_format import FRAMES_FOLDER, METADATA_FILE
 from datagen.errors import InputError
+from datagen.formats import seven_scenes
 from datagen.formats.registry import FORMATS
 from datagen.formats.unfinished import is_unfinished
 
@@ -20,6 +22,11 @@ def open_dataset(folder: Path) -> Dataset:
     for dataset_format in FORMATS:
         if dataset_format.detect(folder):
             return dataset_format.open(folder)
+    if seven_scenes.detect(folder / FRAMES_FOLDER):
+        raise InputError(
+            f"{folder / METADATA_FILE}: the file is missing, which says how to read the frames beside it; copy it from "
+            f"where they were made, or name {folder / FRAMES_FOLDER} to read them as a 7-Scenes sequence"
+        )
     below = _datasets_below(folder)
     if below:
         names = ", ".join(path.relative_to(folder).as_posix() for path in below[:3])

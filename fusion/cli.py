@@ -1,10 +1,8 @@
 """The command ``fusion``: reconstruct, locate, evaluate, and what is done to a reconstruction."""
 
-import sys
 from collections.abc import Sequence
 
-from datagen.commands.command_line import parse_command_line, watch_parent
-from datagen.errors import InputError
+from datagen.commands.command_line import run_command_line
 
 COMMANDS = {
     "estimate": "tell how large a reconstruction will be, from a few frames",
@@ -22,15 +20,6 @@ COMMANDS = {
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; returns its exit code: 0, 2 for input that cannot be used, 130 where interrupted."""
-    try:
-        options = parse_command_line("fusion", "Fuse posed RGB-D frames and locate new ones.", COMMANDS, arguments)
-        watch_parent(options)
-        options.run(options)
-    except InputError as error:
-        print(f"fusion: error: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("fusion: interrupted; the same command begins anew", file=sys.stderr)
-        return 130
-    return 0
+    """Run one command; returns the exit code: 0, 2 for input that cannot be used, 130 where interrupted."""
+    description = "Fuse posed RGB-D frames and locate new ones."
+    return run_command_line("fusion", description, COMMANDS, arguments, interrupted="the same command begins anew")

@@ -5,22 +5,50 @@ OpenCV and Warp take a second to import: neither ``--help`` nor a mistyped name 
 
 import argparse
 import importlib
+import os
 import sys
 from collections.abc import Mapping, Sequence
 
+from datagen.errors import InputError, WorkerError
 from datagen.parent_process import end_with_input
 
+EXIT_FAILURE = 1
+EXIT_INPUT_ERROR = 2
+EXIT_INTERRUPTED = 130
+EXIT_UNHEARD = 141
+"""As of a program that the system ends because nobody reads what it prints."""
 
-def parse_command_line(
-    program: str, description: str, commands: Mapping[str, str], arguments: Sequence[str] | None
-) -> argparse.Namespace:
-    """Return the options of the command that ``arguments`` (None: the process's) begin with; ``run`` does its work.
+
+def run_command_line(
+    program: str, description: str, commands: Mapping[str, str], arguments: Sequence[str] | None, *, interrupted: str
+) -> int:
+    """Run the command that ``arguments`` (None: the process's) begin with, and return the exit code.
 
     ``commands`` are names with a line of help each. The module ``PROGRAM.commands.NAME``, a name's hyphens being
-    underscores there, has ``add_options``, which gives a parser the command's options and ``run``. Leaves with exit
-    code 0 after help, with 2 for what cannot be parsed.
+    underscores there, has ``add_options``, which gives a parser the command's options and ``run``, whose result is the
+    exit code if it is not None. ``interrupted`` says what comes of the work after Ctrl-C. Leaves with exit code 0 after
+    help, with 2 for what cannot be parsed.
     """
-    words = sys.argv[1:] if arguments is None else list(arguments)
+    try:
+        options = _parse(program, description, commands, sys.argv[1:] if arguments is None else list(arguments))
+        if getattr(options, "end_with_input", False):
+            end_with_input()
+        code = options.run(options) or 0
+        sys.stdout.flush()
+    except InputError as error:
+        return _complain(f"{program}: error: {error}", EXIT_INPUT_ERROR)
+    except WorkerError as error:
+        return _complain(f"{program}: error: {error}", EXIT_FAILURE)
+    except KeyboardInterrupt:
+        return _complain(f"{program}: interrupted; {interrupted}", EXIT_INTERRUPTED)
+    except BrokenPipeError:
+        # As head does, whoever read the output has seen enough; Python would complain when it flushes the rest.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return EXIT_UNHEARD
+    return int(code)
+
+
+def _parse(program: str, description: str, commands: Mapping[str, str], words: list[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog=program, description=description)
     parsers = parser.add_subparsers(required=True, metavar="COMMAND")
     for name, text in commands.items():
@@ -30,7 +58,6 @@ def parse_command_line(
     return parser.parse_args(words)
 
 
-def watch_parent(options: argparse.Namespace) -> None:
-    """Begin to watch standard input where ``--end-with-input`` asks for it."""
-    if getattr(options, "end_with_input", False):
-        end_with_input()
+def _complain(sentence: str, code: int) -> int:
+    print(sentence, file=sys.stderr)
+    return code

@@ -1,4 +1,7 @@
 import json
+import signal
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -34,6 +37,15 @@ def test_info_prints_json_and_nothing_else(kitchen, capsys):
 def test_info_speaks_to_people(kitchen, capsys):
     assert main(["info", str(kitchen)]) == 0
     assert "2 complete of 2" in capsys.readouterr().out
+
+
+def test_nothing_is_said_where_nobody_listens_any_more(kitchen):
+    command = [sys.executable, "-m", "datagen", "info", str(kitchen)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    process.stdout.close()
+    assert process.stderr.read() == b""
+    assert process.wait() == 128 + signal.SIGPIPE
+    process.stderr.close()
 
 
 @pytest.mark.parametrize(

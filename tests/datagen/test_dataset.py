@@ -165,6 +165,14 @@ def test_metadata_that_was_cut_short_is_refused(folder):
         open_dataset(folder)
 
 
+def test_frames_that_lost_their_metadata_are_told_as_such(folder):
+    (folder / "dataset.json").unlink()
+    with pytest.raises(
+        InputError, match=r"dataset\.json: the file is missing.*name .*frames to read them as a 7-Scenes"
+    ):
+        open_dataset(folder)
+
+
 def test_a_7_scenes_folder_opens_and_keeps_frames_that_lack_a_pose(folder):
     with pytest.raises(InputError, match=r"frames: these are the frames of the dataset .*; name that one"):
         open_dataset(folder / "frames")
