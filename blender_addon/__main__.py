@@ -8,6 +8,7 @@ from blender_addon.errors import ReconstructionError
 from blender_addon.headless.quiet_stdout import quiet_stdout
 from datagen.blender_program import leaving_extensions_alone
 from datagen.errors import InputError
+from datagen.interrupts import interrupts_held
 from datagen.progress import on_terminal
 
 RENDER_SIDE_PX = range(4, 65537)
@@ -15,12 +16,12 @@ RENDER_SIDE_PX = range(4, 65537)
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command line and return its exit code: 0, or 2 for input that cannot be used."""
+    """Run the command line; returns its exit code: 0, 2 for input that cannot be used, 130 where interrupted."""
     options = _parser().parse_args(arguments)
     folder: Path = options.reconstruction
     try:
         # Blender is imported late, so that --help is quick and its absence can be explained.
-        with quiet_stdout():
+        with quiet_stdout(), interrupts_held():
             from blender_addon.headless.present import PresentConfig, present  # noqa: PLC0415
 
         config = PresentConfig(
@@ -37,6 +38,9 @@ def main(arguments: list[str] | None = None) -> int:
     except (InputError, ReconstructionError) as error:
         print(f"error: {error}", file=sys.stderr)  # noqa: T201
         return 2
+    except KeyboardInterrupt:
+        print("interrupted; the same command begins anew", file=sys.stderr)  # noqa: T201
+        return 130
     except ImportError as error:
         if (error.name or "").partition(".")[0] != "bpy" and "bpy" not in str(error):
             raise

@@ -5,6 +5,7 @@ from pathlib import Path
 import bpy
 
 from datagen.atomic_write import replacing
+from datagen.interrupts import interrupts_held
 
 WORLD_GREY_LINEAR = 0.75
 
@@ -35,6 +36,7 @@ def render_png(scene: bpy.types.Scene, camera: bpy.types.Object, path: Path) -> 
     """Render ``scene`` through ``camera`` at its own size and write ``path`` atomically."""
     scene.camera = camera
     with replacing(path) as temporary:
-        bpy.ops.render.render(scene=scene.name)
+        with interrupts_held():  # Cycles prints one, and renders on
+            bpy.ops.render.render(scene=scene.name)
         # Not through the scene's output path: Blender takes braces in that for a template.
         bpy.data.images["Render Result"].save_render(str(temporary), scene=scene)

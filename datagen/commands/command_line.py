@@ -10,6 +10,7 @@ import sys
 from collections.abc import Mapping, Sequence
 
 from datagen.errors import InputError, WorkerError
+from datagen.interrupts import interrupts_held
 from datagen.parent_process import end_with_input
 
 EXIT_FAILURE = 1
@@ -54,7 +55,9 @@ def _parse(program: str, description: str, commands: Mapping[str, str], words: l
     for name, text in commands.items():
         command = parsers.add_parser(name, help=text)
         if words[:1] == [name]:  # the program has no option of its own that could stand before
-            importlib.import_module(f"{program}.commands.{name.replace('-', '_')}").add_options(command)
+            with interrupts_held():  # trimesh takes whatever happens meanwhile for a package that is not there
+                module = importlib.import_module(f"{program}.commands.{name.replace('-', '_')}")
+            module.add_options(command)
     return parser.parse_args(words)
 
 
