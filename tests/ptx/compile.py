@@ -45,10 +45,12 @@ class Launch(ctypes.Structure):
 
 
 class Kernel:
-    """A kernel of a module, in C."""
+    """A kernel of a module, in C; ``label`` is ``module:kernel``, without Warp's hashes."""
 
-    def __init__(self, library: ctypes.CDLL, name: str) -> None:
+    def __init__(self, library: ctypes.CDLL, name: str, module: str = "") -> None:
         self.name = name
+        plain, direction = name.split("_cuda_kernel_")
+        self.label = f"{module}:{plain.rsplit('_', 1)[0]}{':backward' if direction == 'backward' else ''}"
         self._size = ctypes.c_uint32.in_dll(library, f"size_{name}").value
         self._pack = library[f"pack_{name}"]
         self._run = library[f"run_{name}"]

@@ -375,10 +375,12 @@ class Machine:
     def do_cuda_load_module(self, _context: Any, path: bytes) -> int:
         place = Path(path.decode())
         self.loaded.append(place.name)
-        return self._handle(load(place.read_bytes().decode("latin1"), place.parent, optimise=self.optimise))
+        library = load(place.read_bytes().decode("latin1"), place.parent, optimise=self.optimise)
+        return self._handle((library, place.name.removeprefix("wp_").rsplit("_", 1)[0]))
 
     def do_cuda_get_kernel(self, _context: Any, module: Any, name: bytes) -> int:
-        return self._handle(Kernel(self._handles[_number(module)], name.decode()))
+        library, module_name = self._handles[_number(module)]
+        return self._handle(Kernel(library, name.decode(), module_name))
 
     def do_cuda_launch_kernel(
         self,
@@ -407,7 +409,7 @@ class Machine:
             launch = Launch(block=block, shared_bytes=shared_bytes, order=self.order)
             launch.grid[:] = (blocks, 1, 1)
             self.memory.show(launch)
-            self.launched[held.name] += 1
+            self.launched[held.label] += 1
             held.run(launch, params)
 
         self.streams.issue(self._stream(stream), work)

@@ -151,7 +151,7 @@ def _entry(header: str, body: str, first_line: int, variables: dict[str, Variabl
             lines.append("    " + statement(text, function))
     mentioned = " ".join(lines)
     names = set(re.findall(r"\bR\w+", mentioned))
-    declared = [f"    {kind} {name_of(r)} = 0;" for r, kind in function.registers.items() if name_of(r) in names]
+    declared = [f"    {kind} {name_of(r)};" for r, kind in function.registers.items() if name_of(r) in names]
     name, local = function.name, max(local_size, 1)
     c = [
         f"static Site sites_{name}[{max(function.sites, 1)}];",
