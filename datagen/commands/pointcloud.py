@@ -3,6 +3,7 @@
 import argparse
 from pathlib import Path
 
+from datagen.atomic_write import require_writable
 from datagen.commands.arguments import add_frames, positive_length
 from datagen.frame_selection import select_frames
 from datagen.open_dataset import open_dataset
@@ -25,6 +26,7 @@ def _run(options: argparse.Namespace) -> None:
     dataset = open_dataset(options.dataset)
     frame_ids = select_frames(dataset.frame_ids, options.frames)
     dataset.require(frame_ids)
+    require_writable(options.out.parent)
     with on_terminal() as progress:
         advance = progress("Reading", len(frame_ids))
         cloud = dataset_points(dataset, frame_ids, voxel_size=options.voxel_size, advance=advance)

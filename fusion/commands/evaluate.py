@@ -3,6 +3,7 @@
 import argparse
 from pathlib import Path
 
+from datagen.atomic_write import require_writable
 from datagen.commands.arguments import add_frames, add_json
 from datagen.commands.job_options import add_job_options, reporting
 from datagen.errors import InputError
@@ -58,6 +59,8 @@ def _run(options: argparse.Namespace) -> None:
         for value in values:
             if value is not None:
                 check_length(option, value)
+    if options.vertex_errors is not None:
+        require_writable(options.vertex_errors.parent)
     # A reconstruction knows its voxel size and the frames that observed it.
     mesh_file = options.mesh / MESH_FILE if options.mesh.is_dir() else options.mesh
     folder = mesh_file.parent

@@ -7,6 +7,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Column, Table
 
+from datagen.atomic_write import require_writable
 from datagen.commands.arguments import add_frames, add_json
 from datagen.commands.job_options import add_job_options, reporting
 from datagen.errors import InputError
@@ -17,7 +18,6 @@ from fusion.pose.locate import LocateOptions, frames_to_locate, locate_queries, 
 from fusion.pose.located_picture import require_png, write_picture
 from fusion.pose.mask_source import MaskChoice
 from fusion.pose.query_source import ImageFiles, QuerySource, image_query
-from fusion.pose.target import is_model_file
 from fusion.reconstruction_files import POSES_FILE, LocatedPose, poses_as_json
 
 MOST_TOLD = 5
@@ -110,17 +110,20 @@ def _add_query(command: argparse.ArgumentParser) -> None:
 
 
 def _run(options: argparse.Namespace) -> None:
+    out = options.out
+    if out is None and options.dataset is not None and options.model.is_dir():
+        out = options.model / POSES_FILE
     if options.picture is not None:
         require_png(options.picture)
+    for path in (out, options.picture):
+        if path is not None:
+            require_writable(path.parent)
     source = _queries(options)
     settings = LocateOptions(
         stages=options.stages, features=options.features, model_scale=options.model_scale, device=options.device
     )
     with reporting(options) as progress:
         located = locate_queries(options.model, source, settings, progress=progress)
-    out = options.out
-    if out is None and options.dataset is not None and not is_model_file(options.model):
-        out = options.model / POSES_FILE
     if out is not None:
         write_poses(out, located)
     if options.picture is not None:
