@@ -12,6 +12,7 @@ from fusion.surface.dual_contouring.oracle import Oracle
 from fusion.surface.dual_contouring.rim import find_rim
 from fusion.surface.dual_contouring.several_loops import find_several_loops, write_several_loops
 from fusion.surface.dual_contouring.signs import ask_signs
+from fusion.surface.dual_contouring.snap_signs import snap_answers
 from fusion.surface.layers import NONE, Cells, corners_back, launch_over_layers
 from fusion.volume.tsdf_volume import Volume
 
@@ -39,16 +40,21 @@ def _find_complete(first: int, grid: DualGrid) -> None:
     grid.quad_starts[layer] = wp.bit_count(x) + wp.bit_count(y) + wp.bit_count(z_edges)
 
 
-def find_grid(volume: Volume, oracle: Oracle | None, *, min_weight: float) -> tuple[DualGrid, Counts]:
+def find_grid(
+    volume: Volume, oracle: Oracle | None, *, min_weight: float, snap: float = 0.0
+) -> tuple[DualGrid, Counts]:
     """Find what dual contouring numbers in a volume, but for ``pins``; its voxels were seen if over ``min_weight``.
 
-    Which voxels are inside is the oracle's to say, or without one the volume's.
+    Which voxels are inside is the oracle's to say, or without one the volume's; those of which an oracle says that they
+    are ``snap`` voxels inside or less count as outside (``snap_signs``).
     """
     device = volume.device
     # Counted in place of triangles: one of each active cell.
     ones = wp.full(256, 1, dtype=int, device=device)
     cells = find_cells(volume, ones, meshed=None, min_weight=min_weight)
     answers = None if oracle is None else ask_signs(volume, cells, ones, oracle)
+    if answers is not None and snap > 0:
+        snap_answers(cells, ones, answers, within=snap)
     layers = len(cells.starts) - 1
     grid = _empty_grid(cells, answers)
     grid.inset = inset_for(volume)

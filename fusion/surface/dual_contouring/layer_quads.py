@@ -10,6 +10,7 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 _SPLIT_LAYER_IN_CPP = (
     LANES_IN_CPP
+    + "const float inset = grid.inset;"
     + SPLIT_IN_CPP
     + """
     const int layer = 8 * slot + z;

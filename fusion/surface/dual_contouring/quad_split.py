@@ -13,9 +13,13 @@ import warp as wp
 
 FAN = wp.constant(2)
 """Stands for neither diagonal; 0 and 1 for that from corner 0, or from corner 1."""
+NOTHING = wp.constant(3)
+"""Stands for no triangle, where boxes take the place of cells (``box_quads``)."""
+WITHOUT_CORNER = wp.constant(4)
+"""Stands for one triangle, without corner 0; for each other corner one more."""
 
 SPLIT_IN_CPP = (
-    "const float MARGIN = 0.5f * grid.inset; constexpr float NOT_ALLOWED = 2.0f;\n"
+    "const float MARGIN = 0.5f * inset; constexpr float NOT_ALLOWED = 2.0f;\n"
     f"constexpr int FAN = {FAN};\n"
     """
     struct Point { V x, y, z; };
@@ -54,4 +58,4 @@ SPLIT_IN_CPP = (
     };
 """
 )
-"""C++ for native functions with a ``grid``, after what says what ``V`` is: ``choose_split`` of four corners."""
+"""C++ for native functions with an ``inset``, after what says what ``V`` is: ``choose_split`` of four corners."""

@@ -12,7 +12,7 @@ from fusion.devices import launch_in_slabs
 from fusion.surface.dual_contouring.dual_grid import DualGrid, complete_along
 from fusion.surface.dual_contouring.layer_quads import split_layer
 from fusion.surface.dual_contouring.quad_pins import has_pins, pins_around
-from fusion.surface.dual_contouring.quad_split import FAN
+from fusion.surface.dual_contouring.quad_split import FAN, WITHOUT_CORNER
 from fusion.surface.dual_contouring.vertices import VertexRoom, Vertices, set_vertex_between
 from fusion.surface.layers import NONE, launch_over_layers, lowest_bit, number_of, vertex_number
 from fusion.volume.tsdf_volume import Volume
@@ -89,7 +89,13 @@ def _emit_triangles(
             flipped = ((grid.cells.inside[layer] >> wp.uint64(bit)) & wp.uint64(1)) == NONE
             own = corners[quad]
             split = int(splits[quad])
-            if split == FAN:
+            if split < FAN:
+                a = own[split]
+                c = own[split + 2]
+                set_triangle(triangles, number, a, own[split + 1], c, flipped)
+                set_triangle(triangles, number + 1, a, c, own[(split + 3) & 3], flipped)
+                number += 2
+            elif split == FAN:
                 pins = pins_around(grid, layer >> 3, layer & 7, bit, axis)
                 for side in range(4):
                     following = own[(side + 1) & 3]
@@ -98,16 +104,14 @@ def _emit_triangles(
                         set_triangle(triangles, number, middle, own[side], pin, flipped)
                         set_triangle(triangles, number + 1, middle, pin, following, flipped)
                         number += 2
-                    else:
+                    elif own[side] != following:
                         set_triangle(triangles, number, middle, own[side], following, flipped)
                         number += 1
                 middle += 1
-            else:
-                a = own[split]
-                c = own[split + 2]
-                set_triangle(triangles, number, a, own[split + 1], c, flipped)
-                set_triangle(triangles, number + 1, a, c, own[(split + 3) & 3], flipped)
-                number += 2
+            elif split >= WITHOUT_CORNER:
+                after = split - WITHOUT_CORNER + 1
+                set_triangle(triangles, number, own[after & 3], own[(after + 1) & 3], own[(after + 2) & 3], flipped)
+                number += 1
             quad += 1
             left = left & (left - wp.uint64(1))
 
@@ -150,6 +154,71 @@ def _place_fans(
             left = left & (left - wp.uint64(1))
 
 
+@wp.kernel
+def _count_triangles(
+    first: int,
+    grid: DualGrid,
+    corners: wp.array(dtype=wp.vec4i),
+    splits: wp.array(dtype=wp.uint8),
+    starts: wp.array(dtype=wp.vec2i),
+) -> None:
+    layer = wp.tid() + first
+    quad = grid.quad_starts[layer]
+    counts = wp.vec2i()
+    for axis in range(3):
+        left = complete_along(grid, layer, axis)
+        while left != NONE:
+            split = int(splits[quad])
+            if split < FAN:
+                counts += wp.vec2i(2, 0)
+            elif split == FAN:
+                counts += wp.vec2i(0, 1)
+                pins = pins_around(grid, layer >> 3, layer & 7, lowest_bit(left), axis)
+                for side in range(4):
+                    if pins[side] >= 0:
+                        counts += wp.vec2i(2, 0)
+                    elif corners[quad][side] != corners[quad][(side + 1) & 3]:
+                        counts += wp.vec2i(1, 0)
+            elif split >= WITHOUT_CORNER:
+                counts += wp.vec2i(1, 0)
+            quad += 1
+            left = left & (left - wp.uint64(1))
+    starts[layer] = counts
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cuts:
+    """How quads are cut.
+
+    ``corners`` (quads,) numbers of vertices, ``splits`` (quads,) how they are cut (``quad_split``); ``starts`` (layers
+    + 1,) how many triangles and fans there are in a layer.
+    """
+
+    corners: wp.array
+    splits: wp.array
+    starts: wp.array
+
+
+def split_quads(grid: DualGrid, corners: wp.array, along: wp.array, places: wp.array) -> Cuts:
+    """Choose how the quads between ``corners``, vertices that lie at ``places`` in their cells, are cut."""
+    device, layers = places.device, len(grid.several)
+    splits = wp.empty(len(corners), dtype=wp.uint8, device=device)
+    starts = wp.zeros(layers + 1, dtype=wp.vec2i, device=device)
+    launch_over_layers(
+        _split_quads, dim=layers, inputs=[grid, along, places, corners], outputs=[splits, starts], device=device
+    )
+    return Cuts(corners=corners, splits=splits, starts=starts)
+
+
+def count_anew(grid: DualGrid, corners: wp.array, splits: wp.array) -> Cuts:
+    """Return quads of which some corners are the same, and that are cut anew."""
+    layers = len(grid.several)
+    starts = wp.zeros(layers + 1, dtype=wp.vec2i, device=corners.device)
+    inputs = [grid, corners, splits]
+    launch_over_layers(_count_triangles, dim=layers, inputs=inputs, outputs=[starts], device=corners.device)
+    return Cuts(corners=corners, splits=splits, starts=starts)
+
+
 @dataclass(frozen=True, kw_only=True)
 class CutQuads:
     """Quads cut into ``triangles`` (m, 3), of vertices numbered cells' first, then pins, then those of the ``fans``."""
@@ -161,35 +230,30 @@ class CutQuads:
 def cut_quads(
     volume: Volume,
     grid: DualGrid,
-    corners: wp.array,
+    cuts: Cuts,
     along: wp.array,
-    places: wp.array,
     cells: Vertices,
     *,
     pins: int,
     more: int,
     room: VertexRoom,
 ) -> CutQuads:
-    """Cut quads between ``corners``, numbers of the ``cells``' vertices, which lie at ``places`` in their cells.
+    """Cut quads between the ``cells``' vertices.
 
     ``pins`` is how many vertices on faces there are; there is room for ``more`` triangles behind those of the quads.
     The fans' vertices are in ``room``.
     """
     device, layers = volume.device, len(grid.several)
-    # By quad how it is cut; by layer how many triangles and fans come before.
-    splits = wp.empty(len(corners), dtype=wp.uint8, device=device)
-    starts = wp.zeros(layers + 1, dtype=wp.vec2i, device=device)
-    launch_over_layers(
-        _split_quads, dim=layers, inputs=[grid, along, places, corners], outputs=[splits, starts], device=device
-    )
+    # By layer how many triangles and fans come before.
+    starts = cuts.starts
     array_scan(starts, starts, inclusive=False)
     triangle_total, fan_total = (int(total) for total in starts[layers:].numpy()[0])
     triangles = wp.empty((triangle_total + more, 3), dtype=int, device=device)
-    quads = [grid, corners, splits, starts]
+    quads = [grid, cuts.corners, cuts.splits, starts]
     launch_over_layers(
         _emit_triangles,
         dim=layers,
-        inputs=[*quads, len(places), len(places) + pins],
+        inputs=[*quads, len(cells.points), len(cells.points) + pins],
         outputs=[triangles],
         device=device,
     )
