@@ -51,16 +51,17 @@ def crop_reconstruction(
     high: ArrayLike,
     mesher: Mesher | None = None,
     oracle: OracleName | None = None,
+    flatness: float | None = None,
     device: str = "auto",
     progress: ProgressReporter = silent,
 ) -> ReconstructionRecord:
     """Write the part of a reconstruction in a box of the world (``volume_operations.crop``) as one of its own.
 
-    It is meshed as the whole was, or by ``mesher`` and ``oracle``. Its record has the frames and times of the whole.
-    Raises InputError where the box is none or holds no surface.
+    It is meshed as the whole was, or by ``mesher``, ``oracle`` and ``flatness``. Its record has the frames and times of
+    the whole. Raises InputError where the box is none or holds no surface.
     """
     record = read_record(folder)
-    config = recorded_config(folder, record, mesher=mesher, oracle=oracle)
+    config = recorded_config(folder, record, mesher=mesher, oracle=oracle, flatness=flatness)
     _require_new(out, [folder])
     target = resolve_device(device)
     load_kernels(KERNEL_MODULES, device=target, progress=progress)
@@ -83,18 +84,19 @@ def merge_reconstructions(
     *,
     mesher: Mesher | None = None,
     oracle: OracleName | None = None,
+    flatness: float | None = None,
     device: str = "auto",
     progress: ProgressReporter = silent,
 ) -> ReconstructionRecord:
     """Write reconstructions of different frames of one dataset as one (``fusion.volume.volume_operations.merge``).
 
-    It is meshed as they were, or by ``mesher`` and ``oracle``. Times and frames in its record are those of all. Raises
-    InputError for reconstructions of different datasets, cameras or voxels, for a frame that is in two of them, which
-    would count twice, and where they were meshed differently and no mesher is given.
+    It is meshed as they were, or by ``mesher``, ``oracle`` and ``flatness``. Times and frames in its record are those
+    of all. Raises InputError for reconstructions of different datasets, cameras or voxels, for a frame that is in two of
+    them, which would count twice, and where they were meshed differently and it is not said how.
     """
     records = [read_record(folder) for folder in folders]
     _require_disjoint(folders, records)
-    config = _common_meshing(folders, records, mesher, oracle)
+    config = _common_meshing(folders, records, mesher, oracle, flatness)
     _require_new(out, folders)
     record = _joined(folders, records, out, config)
     target = resolve_device(device)
@@ -109,14 +111,15 @@ def _common_meshing(
     records: Sequence[ReconstructionRecord],
     mesher: Mesher | None,
     oracle: OracleName | None,
+    flatness: float | None,
 ) -> ReconstructionConfig:
     """Return how all were meshed, or are to be; raises InputError where they were meshed differently."""
     configs = [
-        recorded_config(folder, record, mesher=mesher, oracle=oracle)
+        recorded_config(folder, record, mesher=mesher, oracle=oracle, flatness=flatness)
         for folder, record in zip(folders, records, strict=True)
     ]
     for folder, config in zip(folders, configs, strict=True):
-        for option in ("mesher", "oracle") if config.mesher == "dual-contouring" else ("mesher",):
+        for option in ("mesher", "oracle", "flatness") if config.mesher == "dual-contouring" else ("mesher",):
             ours, first = getattr(config, option), getattr(configs[0], option)
             if ours != first:
                 raise InputError(
@@ -193,7 +196,7 @@ def _fused_with(folder: Path, record: ReconstructionRecord) -> dict[str, Any]:
 
 
 def _meshed_by(config: ReconstructionConfig) -> dict[str, Any]:
-    return {"mesher": config.mesher, "oracle": config.oracle}
+    return {"mesher": config.mesher, "oracle": config.oracle, "flatness": config.flatness}
 
 
 def _require_new(out: Path, folders: Sequence[Path]) -> None:

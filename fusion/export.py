@@ -26,6 +26,7 @@ def export(
     min_weight: float | None = None,
     mesher: Mesher | None = None,
     oracle: OracleName | None = None,
+    flatness: float | None = None,
     device: str = "auto",
     progress: ProgressReporter = silent,
 ) -> str:
@@ -33,18 +34,19 @@ def export(
 
     ``.vdb`` is the field itself (``vdb_export``). ``.ply`` is the surface with normals and colours, as a mesh or as its
     vertices alone, ``points``, where a voxel counts as seen if its weight is over ``min_weight``. Where this,
-    ``mesher`` or ``oracle`` is None, it is meshed as the reconstruction was. Raises InputError for another suffix,
-    where OpenVDB is wanted and not there, where depth images are to be asked that are not there, and where there is no
-    surface.
+    ``mesher``, ``oracle`` or ``flatness`` is None, it is meshed as the reconstruction was. Raises InputError for
+    another suffix, where OpenVDB is wanted and not there, where depth images are to be asked that are not there, and where
+    there is no surface.
     """
     suffix = out.suffix.lower()
     if suffix not in (".ply", ".vdb"):
         raise InputError(
             f"{out}: expected a name that ends in .ply (mesh, or points with --points) or .vdb (the field)"
         )
-    if suffix == ".vdb" and (points or min_weight or mesher or oracle):
+    if suffix == ".vdb" and (points or min_weight or mesher or oracle or flatness is not None):
         raise InputError(
-            f"{out}: --points, --min-weight, --mesher and --oracle are for .ply; a .vdb holds the whole field"
+            f"{out}: --points, --min-weight, --mesher, --oracle and --flatness are for .ply; "
+            "a .vdb holds the whole field"
         )
     require_writable(out.parent)
     target = resolve_device(device)
@@ -55,7 +57,7 @@ def export(
         write_vdb(out, volume)
         return f"{volume.table.count:,} blocks"
     record = read_record(folder)
-    config = recorded_config(folder, record, mesher=mesher, oracle=oracle)
+    config = recorded_config(folder, record, mesher=mesher, oracle=oracle, flatness=flatness)
     if min_weight is not None:
         config = replace(config, min_weight=min_weight)
     load_kernels(KERNEL_MODULES, device=target, progress=progress)

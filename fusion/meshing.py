@@ -17,7 +17,7 @@ from fusion.surface.dual_contouring.depth_oracle import FIELD_MODULES, DepthFiel
 from fusion.surface.dual_contouring.dual_contouring import oracle_kernels
 from fusion.surface.dual_contouring.oracle import Oracle
 from fusion.surface.mesh import Mesh
-from fusion.surface.meshers import KERNEL_MODULES, Mesher, OracleName, mesh_volume
+from fusion.surface.meshers import Mesher, OracleName, kernel_modules, mesh_volume
 from fusion.volume.tsdf_volume import Volume
 
 
@@ -37,7 +37,7 @@ def mesh_fused(
 ) -> Mesh:
     """Mesh a volume as ``config`` says, which may ask the depth of ``source``, the frames that were fused into it.
 
-    ``clock`` counts the time to ``mesh``; kernels are loaded before (``KERNEL_MODULES``), but those made for the depth
+    ``clock`` counts the time to ``mesh``; kernels are loaded before (``kernel_modules``), but those made for the depth
     images. The mesh is empty where there is no surface.
     """
     oracle = None
@@ -46,7 +46,14 @@ def mesh_fused(
         load_kernels((), oracle_kernels(oracle), device=volume.device, progress=progress)
     advance = progress("mesh", 1)
     with clock("mesh"):
-        mesh = mesh_volume(volume, config.mesher, oracle=oracle, min_weight=config.min_weight, normals=normals)
+        mesh = mesh_volume(
+            volume,
+            config.mesher,
+            oracle=oracle,
+            min_weight=config.min_weight,
+            normals=normals,
+            flatness=config.flatness,
+        )
     advance()
     return mesh
 
@@ -64,10 +71,13 @@ def mesh_again(
 
     Raises InputError where the depth images are to be asked and their dataset is not there any more.
     """
-    modules = (*KERNEL_MODULES[config.mesher], *(("fusion.surface.vertex_normals",) if normals else ()))
+    modules = kernel_modules(config.mesher, flatness=config.flatness)
+    modules += ("fusion.surface.vertex_normals",) if normals else ()
     load_kernels(modules, device=volume.device, progress=progress)
     if not asks_depth(config):
-        return mesh_volume(volume, config.mesher, min_weight=config.min_weight, normals=normals)
+        return mesh_volume(
+            volume, config.mesher, min_weight=config.min_weight, normals=normals, flatness=config.flatness
+        )
     clock = Stopwatch(volume.device)
     with fused_frames(folder, record, config) as source:
         return mesh_fused(volume, source, config, clock=clock, normals=normals, progress=progress)
@@ -89,11 +99,17 @@ def fused_frames(folder: Path, record: ReconstructionRecord, config: Reconstruct
 
 
 def recorded_config(
-    folder: Path, record: ReconstructionRecord, *, mesher: Mesher | None = None, oracle: OracleName | None = None
+    folder: Path,
+    record: ReconstructionRecord,
+    *,
+    mesher: Mesher | None = None,
+    oracle: OracleName | None = None,
+    flatness: float | None = None,
 ) -> ReconstructionConfig:
     """Return how the reconstruction in ``folder`` was fused and meshed; of a merged one its parts were fused alike.
 
-    ``mesher`` and ``oracle`` take the place of the recorded ones. Raises InputError for a record that does not tell.
+    ``mesher``, ``oracle`` and ``flatness`` take the place of the recorded ones. Raises InputError for a record
+    that does not tell.
     """
     fused = record.config
     while fused.get("merged"):
@@ -103,6 +119,8 @@ def recorded_config(
     values["mesher"] = mesher or record.config.get("mesher", "marching-cubes")
     if oracle or "oracle" in record.config:
         values["oracle"] = oracle or record.config["oracle"]
+    # A record without a flatness was written when no cells were merged.
+    values["flatness"] = record.config.get("flatness", 0.0) if flatness is None else flatness
     try:
         if values.get("integration") is not None:
             values["integration"] = Integration(**values["integration"])

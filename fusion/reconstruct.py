@@ -37,7 +37,7 @@ from fusion.reconstruction_files import (
 from fusion.stopwatch import Stopwatch
 from fusion.surface.mesh import Mesh
 from fusion.surface.mesh_files import read_mesh, write_mesh
-from fusion.surface.meshers import KERNEL_MODULES
+from fusion.surface.meshers import kernel_modules
 from fusion.volume.tsdf_volume import Volume
 from fusion.volume.volume_file import save_volume
 from fusion.volume.voxel_counts import count_observed
@@ -72,7 +72,8 @@ def reconstruct(
     seen = dataset if config.depth_layer is None else dataset.with_depth_layer(config.depth_layer)
     device = resolve_device(config.device)
     load_fusion_kernels(config.integration, device=device, progress=progress)
-    load_kernels(("fusion.volume.voxel_counts", *KERNEL_MODULES[config.mesher]), device=device, progress=progress)
+    modules = ("fusion.volume.voxel_counts", *kernel_modules(config.mesher, flatness=config.flatness))
+    load_kernels(modules, device=device, progress=progress)
     start = time.perf_counter()
     clock = Stopwatch(device)
     frame_ids = select_frames(dataset.frame_ids, config.frames)

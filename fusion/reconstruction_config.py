@@ -18,6 +18,8 @@ MOST_VOXELS_PER_TRUNCATION = 64
 FOOTPRINTS_PER_VOXEL = 2
 VOXELS_PER_EXTENT = 512
 SMALLEST_LENGTH, LARGEST_LENGTH = 1e-6, 1e4
+MOST_FLATNESS = 1.0
+"""Voxels."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,8 +29,9 @@ class ReconstructionConfig:
     ``voxel_size``, ``truncation`` and ``depth_max`` are metres; ``frames`` is START:STOP:STEP; ``device`` auto, cpu or
     cuda[:N]; ``storage`` the form of the volume (``fusion.volume.voxels``); ``integration`` how frames are sampled and
     weighed; only voxels with more than ``min_weight`` are meshed, by ``mesher``; ``oracle`` is what dual contouring
-    asks, and nothing to marching cubes (``fusion.surface.meshers``); ``depth_layer`` is a layer of the dataset to
-    fuse in the place of its depth (``Dataset.with_depth_layer``). Raises InputError for a length that is not from a
+    asks, and ``flatness`` how many voxels the mesh may be off where it merges cells, 0 for none; both are nothing to
+    marching cubes (``fusion.surface.meshers``); ``depth_layer`` is a layer of the dataset to fuse in the place of its
+    depth (``Dataset.with_depth_layer``). Raises InputError for a length that is not from a
     micrometre to ten kilometres, and for options that there are not.
     """
 
@@ -42,12 +45,15 @@ class ReconstructionConfig:
     integration: Integration = EXACT
     mesher: Mesher = "marching-cubes"
     oracle: OracleName = "depth"
+    flatness: float = 0.0
     depth_layer: str | None = None
 
     def __post_init__(self) -> None:
         """Refuse lengths that make no volume."""
         if not 0 <= self.min_weight < float("inf"):
             raise InputError(f"--min-weight {self.min_weight:g}: expected 0 or more, the weight of so many frames")
+        if not 0 <= self.flatness <= MOST_FLATNESS:
+            raise InputError(f"--flatness {self.flatness:g}: expected 0 (off) to {MOST_FLATNESS:g} voxels")
         if self.storage not in BYTES_PER_VOXEL:
             raise InputError(f"--storage {self.storage}: expected one of {', '.join(BYTES_PER_VOXEL)}")
         for option, value, known in (

@@ -50,13 +50,19 @@ def add_reconstruction(command: argparse.ArgumentParser) -> None:
 
 
 def add_remeshing(command: argparse.ArgumentParser) -> None:
-    """Add ``--mesher`` and ``--oracle`` to a command that meshes what was meshed before."""
+    """Add ``--mesher``, ``--oracle`` and ``--flatness`` to a command that meshes what was meshed before."""
     same = "(default: as it was meshed before)"
     command.add_argument("--mesher", choices=get_args(Mesher), help=f"marching cubes or dual contouring {same}")
     command.add_argument(
         "--oracle",
         choices=get_args(OracleName),
         help=f"what dual contouring goes by: the volume, or its dataset's depth images {same}",
+    )
+    command.add_argument(
+        "--flatness",
+        type=float,
+        metavar="VOXELS",
+        help=f"with dual contouring, how far off the mesh may be where it merges cells, 0 for none {same}",
     )
 
 

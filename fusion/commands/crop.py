@@ -36,6 +36,7 @@ def _run(options: argparse.Namespace) -> None:
             high=high,
             mesher=options.mesher,
             oracle=options.oracle,
+            flatness=options.flatness,
             device=options.device,
             progress=progress,
         )

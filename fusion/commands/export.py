@@ -32,6 +32,7 @@ def _run(options: argparse.Namespace) -> None:
             min_weight=options.min_weight,
             mesher=options.mesher,
             oracle=options.oracle,
+            flatness=options.flatness,
             device=options.device,
             progress=progress,
         )

@@ -28,6 +28,7 @@ def _run(options: argparse.Namespace) -> None:
             options.out,
             mesher=options.mesher,
             oracle=options.oracle,
+            flatness=options.flatness,
             device=options.device,
             progress=progress,
         )

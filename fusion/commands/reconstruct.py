@@ -106,6 +106,14 @@ def _add_meshing(command: argparse.ArgumentParser) -> None:
         help="what dual contouring goes by: the volume, or the depth images themselves, sharper and slower "
         "(default: %(default)s)",
     )
+    command.add_argument(
+        "--flatness",
+        type=float,
+        default=defaults.flatness,
+        metavar="VOXELS",
+        help="let dual contouring merge cells where the surface is flat: how far off the mesh may be then, in voxels; "
+        "0.05 spares most vertices (default: %(default)s, a vertex a cell)",
+    )
 
 
 def _run(options: argparse.Namespace) -> None:
@@ -125,6 +133,7 @@ def _run(options: argparse.Namespace) -> None:
         ),
         mesher=options.mesher,
         oracle=options.oracle,
+        flatness=options.flatness,
         depth_layer=options.depth,
     )
     dataset = open_dataset(options.dataset)

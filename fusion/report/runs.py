@@ -35,7 +35,7 @@ from fusion.surface.dual_contouring.dual_contouring import oracle_kernels
 from fusion.surface.dual_contouring.oracle import Oracle
 from fusion.surface.mesh import Mesh
 from fusion.surface.mesh_files import read_mesh, write_mesh
-from fusion.surface.meshers import KERNEL_MODULES, mesh_volume
+from fusion.surface.meshers import kernel_modules, mesh_volume
 from fusion.volume.memory_budget import bytes_per_block
 from fusion.volume.tsdf_volume import Volume
 from fusion.volume.volume_file import load_volume
@@ -115,10 +115,13 @@ def mesh_run(
     """
     (folder / TIMING_FILE).unlink(missing_ok=True)
     volume = load_volume(fused.folder / VOLUME_FILE, device=device)
-    load_kernels(KERNEL_MODULES[config.mesher], device=device)
+    load_kernels(kernel_modules(config.mesher, flatness=config.flatness), device=device)
     oracle, preparing = _oracle(volume, fused, config) if asks_depth(config) else (None, 0.0)
     mesh, seconds = _least_time(
-        lambda: mesh_volume(volume, config.mesher, oracle=oracle, min_weight=config.min_weight), device
+        lambda: mesh_volume(
+            volume, config.mesher, oracle=oracle, min_weight=config.min_weight, flatness=config.flatness
+        ),
+        device,
     )
     voxel_size = fused.record.voxel_size_m
     changed = {

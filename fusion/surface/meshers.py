@@ -36,11 +36,38 @@ KERNEL_MODULES: dict[Mesher, tuple[str, ...]] = {
 }
 
 
+_MERGING = (
+    "snap_signs",
+    "extended_signs",
+    "tame_cells",
+    "boxes",
+    "box_quads",
+    "merge_cells",
+)
+
+
+def kernel_modules(mesher: Mesher, *, flatness: float = 0.0) -> tuple[str, ...]:
+    """Return the names of the modules whose kernels ``mesh_volume`` launches."""
+    if mesher == "marching-cubes" or flatness == 0:
+        return KERNEL_MODULES[mesher]
+    merging = (f"fusion.surface.dual_contouring.{name}" for name in _MERGING)
+    return (*KERNEL_MODULES[mesher], *merging, "fusion.surface.closest_points")
+
+
 def mesh_volume(
-    volume: Volume, mesher: Mesher, *, oracle: Oracle | None = None, min_weight: float = 0.0, normals: bool = False
+    volume: Volume,
+    mesher: Mesher,
+    *,
+    oracle: Oracle | None = None,
+    min_weight: float = 0.0,
+    normals: bool = False,
+    flatness: float = 0.0,
 ) -> Mesh:
-    """Return a volume's surface as a mesh; ``oracle`` is dual contouring's, None for the volume itself."""
+    """Return a volume's surface as a mesh.
+
+    ``oracle`` is dual contouring's, None for the volume itself, and so is ``flatness``, voxels, 0 for a vertex a cell.
+    """
     if mesher == "dual-contouring":
-        return dual_contouring(volume, oracle=oracle, min_weight=min_weight, normals=normals)
+        return dual_contouring(volume, oracle=oracle, min_weight=min_weight, normals=normals, flatness=flatness)
     assert oracle is None, "marching cubes asks the volume alone"
     return marching_cubes(volume, min_weight=min_weight, normals=normals)
