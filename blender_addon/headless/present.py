@@ -17,7 +17,7 @@ from blender_addon.headless.render_still import render_png, set_up_presentation
 from blender_addon.headless.save_blend import save_blend
 from blender_addon.results.camera_conversion import blender_pose, set_intrinsics, set_render_size
 from blender_addon.results.import_reconstruction import import_reconstruction
-from blender_addon.results.scan_camera import CLIP_END_M, CLIP_START_M
+from blender_addon.results.scan_camera import CLIP_END, CLIP_START
 from blender_addon.results.scene_collection import MESH_PART, PART_KEY
 from datagen.errors import InputError
 from datagen.images import read_color
@@ -126,7 +126,7 @@ def _wire_points(item: bpy.types.Object) -> NDArray[np.float64]:
 def _add_camera(scene: bpy.types.Scene, name: str, intrinsics: Intrinsics, pose: Matrix) -> bpy.types.Object:
     data = bpy.data.cameras.new(name)
     set_intrinsics(data, intrinsics)
-    data.clip_start, data.clip_end = CLIP_START_M, CLIP_END_M
+    data.clip_start, data.clip_end = CLIP_START, CLIP_END
     camera = bpy.data.objects.new(name, data)
     camera.matrix_world = blender_pose(pose)
     scene.collection.objects.link(camera)

@@ -9,9 +9,9 @@ from ..files.dataset_files import PosedFrames, read_posed_frames
 from ..files.reconstruction_files import Record
 from .camera_conversion import set_render_size
 from .camera_path import create_path_object
-from .import_reconstruction import MARKER_SIZE, MARKER_SIZE_KEY, WIRE_RADIUS
+from .import_reconstruction import MARKER_SIZE, WIRE_RADIUS
 from .replay_camera import add_replay
-from .scene_collection import PATH_PART, add_part, empty_collection
+from .scene_collection import MARKER_SIZE_KEY, PATH_PART, add_part, empty_collection
 from .scene_units import UNIT_KEY, frames_in_units, metres_per_unit, record_in_units
 
 
@@ -28,9 +28,9 @@ def import_dataset(
     collection = empty_collection(scene, frames.folder)
     collection[UNIT_KEY] = unit
     positions = np.array([frame.world_from_camera[:3, 3] for frame in trajectory])
-    diagonal_m = float(np.linalg.norm(np.ptp(positions, axis=0))) or 1.0
-    collection[MARKER_SIZE_KEY] = MARKER_SIZE * diagonal_m
-    path = create_path_object("Scanback camera path", trajectory, radius_m=WIRE_RADIUS * diagonal_m)
+    diagonal = float(np.linalg.norm(np.ptp(positions, axis=0))) or 1.0
+    collection[MARKER_SIZE_KEY] = MARKER_SIZE * diagonal
+    path = create_path_object("Scanback camera path", trajectory, radius=WIRE_RADIUS * diagonal)
     add_part(collection, PATH_PART, [path])
     add_replay(scene, collection, record_in_units(record_of_frames(frames), unit))
     if match_render_size:

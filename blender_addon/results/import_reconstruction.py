@@ -11,6 +11,7 @@ from .mesh_import import create_mesh_object
 from .pose_markers import create_markers
 from .scene_collection import (
     MARKER_PART,
+    MARKER_SIZE_KEY,
     MESH_PART,
     PATH_PART,
     add_part,
@@ -25,8 +26,6 @@ LOCATED_COLLECTION = "Located frames"
 MARKER_SIZE = 0.06
 WIRE_RADIUS = 0.0016
 """Sizes as parts of the diagonal of mesh and camera path."""
-MARKER_SIZE_KEY = "scanback_marker_size"
-"""Custom property of a reconstruction's collection: how large cameras are drawn in it."""
 
 
 def import_reconstruction(
@@ -57,8 +56,7 @@ def place_reconstruction(
     diagonal = reconstruction.diagonal()
     collection[MARKER_SIZE_KEY] = MARKER_SIZE * diagonal
     if reconstruction.trajectory:
-        radius_m = WIRE_RADIUS * diagonal
-        path = create_path_object("Scanback camera path", reconstruction.trajectory, radius_m=radius_m)
+        path = create_path_object("Scanback camera path", reconstruction.trajectory, radius=WIRE_RADIUS * diagonal)
         add_part(collection, PATH_PART, [path])
     _add_markers(collection, reconstruction)
     if match_render_size:
@@ -77,13 +75,13 @@ def place_located(scene: bpy.types.Scene, record: Record) -> bpy.types.Collectio
 
 
 def _add_markers(collection: bpy.types.Collection, record: Record) -> None:
-    size_m = float(collection[MARKER_SIZE_KEY])
+    size = float(collection[MARKER_SIZE_KEY])
     markers = create_markers(
         record.located,
         record.intrinsics,
         dataset=record.dataset,
-        size_m=size_m,
-        radius_m=size_m * WIRE_RADIUS / MARKER_SIZE,
+        size=size,
+        radius=size * WIRE_RADIUS / MARKER_SIZE,
     )
     if markers:
         add_part(collection, MARKER_PART, markers, into=LOCATED_COLLECTION)

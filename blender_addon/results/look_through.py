@@ -13,12 +13,12 @@ from ..files.reconstruction_files import Record
 from .camera_conversion import blender_pose
 from .frame_pictures import show_behind
 from .scan_camera import new_scan_camera
-from .scene_collection import MESH_PART, VIEW_PART, add_part, parts
+from .scene_collection import MESH_PART, VIEW_PART, add_part, marker_size, parts
 
 FRAME, RANKING = "frame", "nearest_frames"
 """Custom properties of the camera: the frame that it shows, and those to step through, nearest first."""
 MOST_RANKED = 100
-REACHED = 1e-3
+REACHED = 0.02
 """A ray that stops within this share of the way has reached the point."""
 
 
@@ -34,8 +34,7 @@ def look_through(
         raise ReconstructionError(f"Frame {frame} is not one of those that were fused; import the reconstruction again")
     camera = view_camera(collection)
     if camera is None:
-        size_m = float(collection.get("scanback_marker_size", 0.1))
-        camera = new_scan_camera("Scanback view", record.intrinsics, size_m=size_m)
+        camera = new_scan_camera("Scanback view", record.intrinsics, size=marker_size(collection))
         add_part(collection, VIEW_PART, [camera])
     camera.matrix_world = blender_pose(poses[frame])
     camera.data.name = f"Frame {frame}"
@@ -70,7 +69,6 @@ def point_is_visible(
         start, direction = object_from_world @ Vector(position_world), object_from_world.to_3x3() @ way
         if not direction.length or not item.data.polygons:
             continue
-        reach = direction.length * (1 - REACHED)
-        if item.ray_cast(start, direction.normalized(), distance=reach * 0.98)[0]:
+        if item.ray_cast(start, direction.normalized(), distance=direction.length * (1 - REACHED))[0]:
             return False
     return True

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..files.reconstruction_files import FusedFrame, Intrinsics, Pose
+from ..files.reconstruction_files import FusedFrame, Intrinsics
 
 Sees = Callable[[NDArray[np.float64]], bool]
 """Tells whether nothing hides the point from a position in the world."""
@@ -33,16 +33,3 @@ def frames_seeing(
         shown[i] = is_visible(poses[i, :3, 3])
     order = np.lexsort((np.linalg.norm(offsets, axis=1), ~shown))
     return [trajectory[i].frame for i in order]
-
-
-def frames_near(world_from_camera: Pose, trajectory: Sequence[FusedFrame], *, depth_m: float) -> list[int]:
-    """Return the numbers of all frames, those first whose view is most like that of ``world_from_camera``.
-
-    Views are held against each other by where they put a square of side ``depth_m`` at the depth ``depth_m``.
-    """
-    square = np.array([(x, y, 2, 2) for x in (-1, 1) for y in (-1, 1)]) * depth_m / 2
-    square[:, 3] = 1
-    wanted = square @ world_from_camera.T
-    poses = np.array([frame.world_from_camera for frame in trajectory])
-    distances = np.linalg.norm(np.einsum("nij,kj->nki", poses, square) - wanted, axis=2).mean(axis=1)
-    return [trajectory[i].frame for i in np.argsort(distances, kind="stable")]

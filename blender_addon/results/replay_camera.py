@@ -9,7 +9,7 @@ from .camera_conversion import CAMERA_OPENCV_FROM_BLENDER, blender_pose
 from .f_curves import animate
 from .frame_pictures import show_behind
 from .scan_camera import new_scan_camera
-from .scene_collection import REPLAY_PART, add_part, remove_parts
+from .scene_collection import REPLAY_PART, add_part, marker_size, remove_parts
 
 
 def add_replay(scene: bpy.types.Scene, collection: bpy.types.Collection, record: Record) -> bpy.types.Object:
@@ -18,8 +18,7 @@ def add_replay(scene: bpy.types.Scene, collection: bpy.types.Collection, record:
     Frame n of the scan is n frames after the scene's first one; the scene's last frame becomes that of the scan.
     """
     remove_parts(collection, part=REPLAY_PART)
-    size_m = float(collection.get("scanback_marker_size", 0.1))
-    camera = new_scan_camera("Scanback replay", record.intrinsics, size_m=size_m)
+    camera = new_scan_camera("Scanback replay", record.intrinsics, size=marker_size(collection))
     add_part(collection, REPLAY_PART, [camera])
     numbers = np.array([fused.frame for fused in record.trajectory], dtype=float)
     order = np.argsort(numbers, kind="stable")

@@ -12,9 +12,16 @@ FOLDER_KEY = "scanback_folder"
 """Custom property of a reconstruction's collection: its folder. Names may be changed by the user, this stays."""
 PART_KEY = "scanback_part"
 """Custom property of all that we put into such a collection: what it is."""
+MARKER_SIZE_KEY = "scanback_marker_size"
+"""Custom property of a reconstruction's collection: how large cameras are drawn in it, in the scene's units."""
 MESH_PART, PATH_PART, MARKER_PART, VIEW_PART, REPLAY_PART, LIVE_PART = (
     "mesh", "path", "marker", "view", "replay", "live"
 )  # fmt: skip
+
+
+def marker_size(collection: bpy.types.Collection) -> float:
+    """Return how large cameras are drawn in a reconstruction's collection, in the scene's units."""
+    return float(collection.get(MARKER_SIZE_KEY, 0.1))
 
 
 def is_ours(block: bpy.types.ID) -> bool:

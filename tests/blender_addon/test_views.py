@@ -10,7 +10,7 @@ import pytest
 from blender_addon.files.reconstruction_files import read_record
 from blender_addon.results.import_reconstruction import import_reconstruction
 from blender_addon.results.look_through import neighbour, view_camera
-from blender_addon.results.nearest_frames import frames_near, frames_seeing
+from blender_addon.results.nearest_frames import frames_seeing
 from blender_addon.results.scene_collection import REPLAY_PART, VIEW_PART, parts
 from datagen.rigid import inverse, transform_points
 
@@ -162,14 +162,6 @@ def _shows(camera: Any, world_from_camera: np.ndarray, point: np.ndarray) -> boo
         return False
     u, v = camera.project(seen)
     return bool(-0.5 <= u <= camera.width - 0.5 and -0.5 <= v <= camera.height - 0.5)
-
-
-def test_the_most_similar_view_is_the_frame_itself(sphere_scan: Any) -> None:
-    record = read_record(sphere_scan.folder)
-    for fused in record.trajectory:
-        nudged = fused.world_from_camera.copy()
-        nudged[:3, 3] += 0.01
-        assert frames_near(nudged, record.trajectory, depth_m=1.8)[0] == fused.frame
 
 
 def test_without_a_reconstruction_there_is_nothing_to_look_at() -> None:
