@@ -91,8 +91,8 @@ def merge_reconstructions(
     """Write reconstructions of different frames of one dataset as one (``fusion.volume.volume_operations.merge``).
 
     It is meshed as they were, or by ``mesher``, ``oracle`` and ``flatness``. Times and frames in its record are those
-    of all. Raises InputError for reconstructions of different datasets, cameras or voxels, for a frame that is in two of
-    them, which would count twice, and where they were meshed differently and it is not said how.
+    of all. Raises InputError for reconstructions of different datasets, cameras or voxels, for a frame that is in two
+    of them, which would count twice, and where they were meshed differently and it is not said how.
     """
     records = [read_record(folder) for folder in folders]
     _require_disjoint(folders, records)

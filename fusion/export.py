@@ -35,8 +35,8 @@ def export(
     ``.vdb`` is the field itself (``vdb_export``). ``.ply`` is the surface with normals and colours, as a mesh or as its
     vertices alone, ``points``, where a voxel counts as seen if its weight is over ``min_weight``. Where this,
     ``mesher``, ``oracle`` or ``flatness`` is None, it is meshed as the reconstruction was. Raises InputError for
-    another suffix, where OpenVDB is wanted and not there, where depth images are to be asked that are not there, and where
-    there is no surface.
+    another suffix, where OpenVDB is wanted and not there, where depth images are to be asked that are not there, and
+    where there is no surface.
     """
     suffix = out.suffix.lower()
     if suffix not in (".ply", ".vdb"):

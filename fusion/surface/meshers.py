@@ -40,9 +40,10 @@ _MERGING = (
     "snap_signs",
     "extended_signs",
     "tame_cells",
-    "boxes",
+    "merge_boxes",
+    "box_tree",
     "box_quads",
-    "merge_cells",
+    "box_flatness",
 )
 
 
@@ -51,7 +52,7 @@ def kernel_modules(mesher: Mesher, *, flatness: float = 0.0) -> tuple[str, ...]:
     if mesher == "marching-cubes" or flatness == 0:
         return KERNEL_MODULES[mesher]
     merging = (f"fusion.surface.dual_contouring.{name}" for name in _MERGING)
-    return (*KERNEL_MODULES[mesher], *merging, "fusion.surface.closest_points")
+    return (*KERNEL_MODULES[mesher], *merging)
 
 
 def mesh_volume(

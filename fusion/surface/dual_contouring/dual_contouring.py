@@ -20,13 +20,11 @@ from fusion.surface.dual_contouring.quads import cut_quads, split_quads
 from fusion.surface.dual_contouring.rim_polygons import count_rim_triangles, write_rim_triangles
 from fusion.surface.dual_contouring.rim_vertices import rim_vertices
 from fusion.surface.dual_contouring.signs import sign_kernel
-from fusion.surface.dual_contouring.snap_signs import snapped
+from fusion.surface.dual_contouring.snap_signs import MOST_SNAP, snapped
 from fusion.surface.dual_contouring.vertices import VertexRoom
 from fusion.surface.mesh import Mesh
 from fusion.volume.tsdf_volume import Volume
 
-SNAPPED = 0.25
-"""The share of the flatness by which the surface may be off where it all but passes through voxels."""
 _MORE = 16
 """A vertex on a face or an edge for so many within cells is more than most scenes have."""
 
@@ -50,9 +48,10 @@ def dual_contouring(
     is farther than so many voxels from the mesh.
     """
     assert min_weight >= 0, "an unseen voxel's weight is 0"
-    if flatness > 0 and oracle is None:
-        volume = snapped(volume, within=SNAPPED * flatness)
-    grid, counts = find_grid(volume, oracle, min_weight=min_weight, snap=SNAPPED * flatness)
+    snap = min(MOST_SNAP, 0.25 * flatness)
+    if snap > 0 and oracle is None:
+        volume = snapped(volume, within=snap)
+    grid, counts = find_grid(volume, oracle, min_weight=min_weight, snap=snap)
     along = edge_points(volume, grid, counts, oracle)
     curve_points = None if oracle is None else face_points(volume, grid, counts, oracle, along)
     merges = flatness > 0 and counts.vertices > 0
@@ -66,7 +65,7 @@ def dual_contouring(
     starts, more = count_rim_triangles(grid, counts.rim)
     cuts = split_quads(grid, corners, along, places)
     if merges:
-        cuts = merge_cells(volume, grid, cuts, along, places, cells, flatness=(1 - SNAPPED) * flatness)
+        cuts = merge_cells(volume, grid, cuts, along, places, cells, flatness=flatness - snap)
     cut = cut_quads(volume, grid, cuts, along, cells, pins=len(pins.points), more=more, room=room)
     rim_vertices(volume, grid, counts.rim, along, cells, room=room)
     first_pin, first_fan = len(cells.points), len(cells.points) + len(pins.points)

@@ -19,6 +19,8 @@ from fusion.volume.voxels import Voxels, distance_of
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
+MOST_SNAP = 0.01
+"""Voxels: more than images without noise leave to chance."""
 _JUST_OUTSIDE = wp.constant(1.0e-4)
 """Voxels."""
 _LEAST_STEP = wp.constant(wp.uint64(1))
