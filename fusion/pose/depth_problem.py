@@ -3,18 +3,19 @@
 A pose is judged both ways: the query's points in the model's field, and the model's surface against the query.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from datagen.camera import PinholeCamera
 from datagen.rigid import Matrix, inverse, transform_points
-from fusion.pose.levenberg_marquardt import Descent, descend
+from fusion.pose.depth_descent import DepthDescent
+from fusion.pose.levenberg_marquardt import Descent
 from fusion.pose.normal_equations import (
     GEMAN_MCCLURE,
     INLIER_SIGMAS,
-    Normals,
     Robustness,
     normal_equations,
     point_residuals,
@@ -30,7 +31,7 @@ _MODEL_NOISE_VOXELS = 0.12
 _INLIER_VOXELS = 1.5
 """A point is an inlier within this much of the surface, or within 3.5 standard deviations where that is more: no fused
 surface is to be trusted to less than a voxel everywhere."""
-SETTLED_FLOORS, _SURE_FLOORS, _ENOUGH_FLOORS = 0.3, 0.1, 0.05
+SETTLED_FLOORS, _SURE_FLOORS, _ENOUGH_FLOORS = 0.3, 1.0, 0.05
 """Of that deviation, the length of a step after which a pose has settled; up to which a step is taken though the cost
 rises, which is no smoother between the field's cells; and of one that is the last, since what is left is less still."""
 _EDGE_SHARE, _CUT_FROM = 0.02, 0.01
@@ -48,6 +49,7 @@ class DepthProblem:
     floor: float
     pivot_world: NDArray[np.float64]
     radius: float
+    _kept: dict[tuple[int, int], DepthDescent] = field(default_factory=dict, init=False)
 
     @property
     def inlier_within(self) -> float:
@@ -63,37 +65,44 @@ class DepthProblem:
         self, poses: NDArray[np.float64], *, count: int, kind: int, scales: NDArray[np.float64], iterations: int
     ) -> Descent:
         """Move poses (n, 4, 4) downhill by the cloud's first ``count`` points and robust kernels (n,) of ``scales``."""
+        return self._descents(len(poses), count).descend(poses, kind=kind, scales=scales, iterations=iterations)
+
+    def _descents(self, poses: int, count: int) -> DepthDescent:
+        """Return the arrays for so many poses and points, which are used again."""
         count = min(count, self.cloud.count)
-        robustness = Robustness(kind=kind, scales=scales, floor=self.floor, inlier_within=INLIER_SIGMAS * self.floor)
-
-        def equations(at: NDArray[np.float64]) -> Normals:
-            return normal_equations(
-                self.model, self.cloud, at, count=count, pivot_world=self.pivot_world, robustness=robustness
+        if (poses, count) not in self._kept:
+            self._kept[poses, count] = DepthDescent(
+                self.model,
+                self.cloud,
+                poses=poses,
+                count=count,
+                pivot_world=self.pivot_world,
+                radius_m=self.radius,
+                floor=self.floor,
+                enough_m=_ENOUGH_FLOORS * self.floor,
+                sure_m=_SURE_FLOORS * self.floor,
             )
-
-        return descend(
-            equations,
-            poses,
-            pivot_world=self.pivot_world,
-            radius_m=self.radius,
-            iterations=iterations,
-            enough_m=_ENOUGH_FLOORS * self.floor,
-            sure_m=_SURE_FLOORS * self.floor,
-        )
+        return self._kept[poses, count]
 
     def spread(self, poses: NDArray[np.float64], *, count: int) -> NDArray[np.float64]:
         """Return the robust standard deviation (n,) of the residuals that are there, at least the model's own."""
-        count = min(count, self.cloud.count)
-        residuals = np.abs(
-            point_residuals(
-                self.model, self.cloud, poses, count=count, floor=self.floor, inlier_within=self.inlier_within
+        residuals = np.sort(
+            np.abs(
+                point_residuals(
+                    self.model,
+                    self.cloud,
+                    poses,
+                    count=min(count, self.cloud.count),
+                    floor=self.floor,
+                    inlier_within=self.inlier_within,
+                )
             )
         )
-        known = np.isfinite(residuals)
-        # Where fewer than a half have a field the median is of those that have.
-        residuals[~known] = np.nan
-        residuals[~known.any(axis=1)] = self.radius
-        return np.maximum(1.4826 * np.nanmedian(residuals, axis=1), self.floor)
+        # What has no field comes last, and the median is of what has.
+        known = np.isfinite(residuals).sum(axis=1)
+        each = np.arange(len(residuals))
+        medians = (residuals[each, (known - 1) // 2] + residuals[each, known // 2]) / 2
+        return np.maximum(1.4826 * np.where(known > 0, medians, self.radius), self.floor)
 
     def agreements(self, poses: NDArray[np.float64], *, within: float, most: int | None = None) -> NDArray[np.float64]:
         """Return the share (n,) of the model's surface, as far as it should be seen, that the query shows."""
@@ -131,18 +140,18 @@ class DepthProblem:
         agreed = self.agreements(found.poses, within=2 * self.tolerance)
         return float(min(found.normals.inliers[0], agreed[0]))
 
-    @property
+    @cached_property
     def is_cut(self) -> bool:
         """Whether the image's edge cuts off what the query shows, so that its middle is not that of an object."""
         camera, size = self.camera, np.array([self.camera.width, self.camera.height])
-        pixels = camera.project(self.cloud.points_camera)
+        pixels = camera.project(self.cloud.points_camera[:MIDDLE_POINTS])
         at_edge = (np.minimum(pixels, size - 1 - pixels) < _EDGE_SHARE * size).any(axis=1)
         return bool(at_edge.mean() > _CUT_FROM)
 
 
 def depth_problem(model: PoseModel, query: Query, cloud: QueryCloud, start: Matrix) -> DepthProblem:
     """Choose the pivot, in the middle of what is seen: turning and shifting about it are nearly independent there."""
-    points = transform_points(start, cloud.points_camera)
+    points = transform_points(start, cloud.points_camera[:MIDDLE_POINTS])
     pivot = np.median(points, axis=0)
     return DepthProblem(
         model=model,

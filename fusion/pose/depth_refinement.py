@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from datagen.rigid import Matrix, rigid
 from fusion.pose.depth_problem import SETTLED_FLOORS, DepthProblem, depth_problem
-from fusion.pose.depth_search import better, fine, from_many, from_one
+from fusion.pose.depth_search import better, finest, from_many, from_one, nearly
 from fusion.pose.levenberg_marquardt import Descent
 from fusion.pose.pose_model import PoseModel
 from fusion.pose.query import Query, query_cloud
@@ -87,8 +87,8 @@ def _refined(
         reason = f"{cloud.count} pixels of {where} have a depth, fewer than the {FEWEST_POINTS} that fix a pose"
         return declined("depth", start, reason, used=cloud.count)
     problem = depth_problem(model, query, cloud, start)
-    found = fine(problem, start[None]) if options.starts == "here" else _searched(problem, start, others, options)
-    return _result(problem, found, start)
+    found = nearly(problem, start[None]) if options.starts == "here" else _searched(problem, start, others, options)
+    return _result(problem, finest(problem, found), start)
 
 
 def _searched(
@@ -100,8 +100,10 @@ def _searched(
     if best is not None and options.starts == "one":
         return best
     enough = _ENOUGH_OF_A_SCENE if problem.is_cut else _ENOUGH
-    for poses in _more_starts(problem, start, everywhere=others is None):
-        if best is not None and problem.explained(best) > enough:
+    more = _more_starts(problem, start, everywhere=others is None)
+    while best is None or problem.explained(best) <= enough:
+        poses = next(more, None)
+        if poses is None:
             break
         found = from_many(problem, poses, best)
         spent = found.iterations + (0 if best is None else best.iterations)

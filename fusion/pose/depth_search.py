@@ -28,7 +28,7 @@ _HUNDREDS, _TENS = 60, 10
 
 
 def from_one(problem: DepthProblem, start: Matrix, others: NDArray[np.float64]) -> Descent:
-    """Descend from one start, coarse to fine; as it is, and shifted so that the model is where the depth is.
+    """Descend from one start to nearly right; as it is, and shifted so that the model is where the depth is.
 
     Of a view that the image's edge cuts off, nothing tells where the model has to go, and there is no shift. ``others``
     (m, 4, 4) are taken instead where they explain the view clearly better.
@@ -39,10 +39,10 @@ def from_one(problem: DepthProblem, start: Matrix, others: NDArray[np.float64]) 
     poses, spent = coarse(problem, np.concatenate([own, others]), count=_COARSE_POINTS)
     scores = problem.scores(poses)
     best = int(scores[: len(own)].argmax())
-    found = fine(problem, poses[best][None])
+    found = nearly(problem, poses[best][None])
     spent += found.iterations
     if len(others) and scores[len(own) :].max() > scores[best]:
-        other = fine(problem, poses[len(own) + int(scores[len(own) :].argmax())][None])
+        other = nearly(problem, poses[len(own) + int(scores[len(own) :].argmax())][None])
         spent += other.iterations
         found = better(problem, found, other)
     return replace(found, iterations=spent)
@@ -55,6 +55,8 @@ def coarse(
     spent = 0
     widest = np.full(len(poses), np.inf)
     for _round in range(rounds):
+        if widest.max() <= 3 * problem.floor:
+            break  # as narrow as it gets
         # Never wider than half of the last: an outlier half of the points would hold it open.
         scales = np.minimum(2 * problem.spread(poses, count=count), 0.7 * widest)
         widest = scales = np.maximum(scales, 3 * problem.floor)
@@ -63,14 +65,20 @@ def coarse(
     return poses, spent
 
 
-def fine(problem: DepthProblem, poses: NDArray[np.float64]) -> Descent:
-    """Descend with more points, then with all, each with the kernel that the residuals ask for."""
-    spent = 0
-    for count, steps in ((MIDDLE_POINTS, _MIDDLE_STEPS), (problem.cloud.count, _FINE_STEPS)):
-        scales = _TUKEY_SIGMAS * np.minimum(problem.spread(poses, count=MIDDLE_POINTS), 10 * problem.floor)
-        found = problem.descend(poses, count=count, kind=TUKEY, scales=scales, iterations=steps)
-        poses, spent = found.poses, spent + found.iterations
-    return replace(found, iterations=spent)
+def nearly(problem: DepthProblem, poses: NDArray[np.float64]) -> Descent:
+    """Descend with as many points as tell one place from another, with the kernel that the residuals ask for."""
+    return _within_noise(problem, poses, count=MIDDLE_POINTS, steps=_MIDDLE_STEPS)
+
+
+def finest(problem: DepthProblem, found: Descent) -> Descent:
+    """Descend from a pose that is nearly right with all points."""
+    last = _within_noise(problem, found.poses, count=problem.cloud.count, steps=_FINE_STEPS)
+    return replace(last, iterations=found.iterations + last.iterations)
+
+
+def _within_noise(problem: DepthProblem, poses: NDArray[np.float64], *, count: int, steps: int) -> Descent:
+    scales = _TUKEY_SIGMAS * np.minimum(problem.spread(poses, count=MIDDLE_POINTS), 10 * problem.floor)
+    return problem.descend(poses, count=count, kind=TUKEY, scales=scales, iterations=steps)
 
 
 def from_many(problem: DepthProblem, poses: NDArray[np.float64], known: Descent | None = None) -> Descent:
@@ -96,7 +104,7 @@ def from_many(problem: DepthProblem, poses: NDArray[np.float64], known: Descent 
         poses, spent = found.poses, spent + found.iterations
     if known is not None and problem.distances(poses, known.poses[0])[0] < problem.tolerance:
         return replace(known, iterations=spent)
-    best = fine(problem, poses)
+    best = nearly(problem, poses)
     return replace(best, iterations=spent + best.iterations)
 
 

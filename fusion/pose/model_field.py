@@ -127,6 +127,12 @@ def corners_in_volume(field: ModelField, cell: wp.vec3i) -> tuple[Corners, bool]
     if number < 0:
         return v, False
     within = wp.vec3i(lattice[0] & 7, lattice[1] & 7, lattice[2] & 7)
+    if wp.max(within) < 7:
+        # Two cells of three lie within one block.
+        low = number * _VOXELS + within[2] * 64 + within[1] * 8 + within[0]
+        d = field.distances
+        v = Corners(d[low], d[low + 1], d[low + 8], d[low + 9], d[low + 64], d[low + 65], d[low + 72], d[low + 73])
+        return v, wp.max(wp.abs(v)) < _SATURATED
     for corner in range(8):
         x = within[0] + (corner & 1)
         y = within[1] + ((corner >> 1) & 1)

@@ -16,13 +16,16 @@ from fusion.pose.model_field import FieldSample, ModelField, sample_field
 from fusion.pose.pose_model import PoseModel, poses_on
 from fusion.pose.query import QueryCloud
 
-wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+wp.set_module_options({"enable_backward": False, "max_unroll": 16})
 
 GEMAN_MCCLURE, TUKEY = 0, 1
 _TUKEY = wp.constant(TUKEY)
 
-_RUN = 64
+RUN = 64
 """Points a thread."""
+_RUN = wp.constant(RUN)
+LEAST_SLAB = 32
+"""Runs that are not worth being shared among cores."""
 
 INLIER_SIGMAS = 3.5
 
@@ -83,7 +86,7 @@ def is_away(sample: FieldSample, ray: wp.vec3, near: float) -> bool:
 
 
 @wp.kernel
-def _accumulate(
+def accumulate(
     first: int,
     field: ModelField,
     points: wp.array(dtype=wp.vec3),
@@ -92,6 +95,7 @@ def _accumulate(
     runs: int,
     rotations: wp.array(dtype=wp.mat33),
     translations: wp.array(dtype=wp.vec3),
+    idle: wp.array(dtype=int),
     pivot: wp.vec3,
     scales: wp.array(dtype=float),
     floor: float,
@@ -100,8 +104,11 @@ def _accumulate(
     inlier_sigmas: float,
     sums: wp.array2d(dtype=float),
 ) -> None:
+    """Sum over a run of a pose's points, for as many ``runs`` a pose; not for those that are ``idle``, not 0."""
     index = wp.tid() + first
     pose = index / runs
+    if idle[pose] != 0:
+        return
     run = index % runs
     rotation = rotations[pose]
     eye = translations[pose]
@@ -223,21 +230,22 @@ def normal_equations(
 ) -> Normals:
     """Return the normal equations of the cloud's first ``count`` points at each of ``poses`` (n, 4, 4)."""
     device = model.device
-    runs = -(-count // _RUN)
+    runs = -(-count // RUN)
     sums = wp.empty((len(poses) * runs, SUMS), dtype=float, device=device)
     launch_in_slabs(
-        _accumulate,
+        accumulate,
         dim=len(poses) * runs,
         inputs=[
             *(model.field, cloud.points, cloud.sigmas, count, runs),
             *poses_on(device, model.local(poses)),
+            wp.zeros(len(poses), dtype=int, device=device),
             wp.vec3(*(pivot_world - model.origin_world).tolist()),
             wp.array(robustness.scales.astype(np.float32), dtype=float, device=device),
             *(robustness.floor, robustness.kind, robustness.inlier_within, INLIER_SIGMAS),
         ],
         outputs=[sums],
         device=device,
-        least_slab=8,
+        least_slab=LEAST_SLAB,
     )
     return as_normals(sums.numpy().astype(np.float64).reshape(len(poses), runs, SUMS).sum(axis=1))
 

@@ -1,7 +1,7 @@
 """A view whose pose is asked for, and its depth as points."""
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 import warp as wp
@@ -14,10 +14,14 @@ from fusion.devices import Device
 MOST_POINTS = 8000
 """Of a query's pixels that are compared with the model."""
 
+EVEN_AT = (100, 300, 500, 2000)
+"""How many points of a cloud are spread evenly over the image: so many are asked for before all are."""
+_BAND_PX = 16
+
 _NOISE_BINS = 8
 _LEAST_PIXELS_A_BIN = 30
-_NOISE_PIXELS = 30_000
-"""That tell the noise, about: of so many the standard deviation is right to half a percent."""
+_NOISE_PIXELS = 12_000
+"""That tell the noise, at most, about: of so many the standard deviation is right to a percent."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -49,21 +53,28 @@ class Query:
         Raises InputError where the query has no depth.
         """
         depth = self.whole_depth()
-        return depth if self.mask is None else np.where(self.mask, depth, 0).astype(np.float32)
+        return depth if self.mask is None else np.where(self.mask, depth, np.float32(0))
 
     def whole_depth(self) -> NDArray[np.float32]:
         """Return depth with 0 wherever it is not finite or not positive, outside the mask too; errors as above."""
         if self.depth is None:
             raise InputError("query: has no depth image; refine it by its silhouette")
-        return np.where(np.isfinite(self.depth) & (self.depth > 0), self.depth, 0).astype(np.float32)
+        return self._whole
+
+    @cached_property
+    def _whole(self) -> NDArray[np.float32]:
+        assert self.depth is not None
+        whole = np.where(np.isfinite(self.depth) & (self.depth > 0), self.depth, 0).astype(np.float32, copy=False)
+        whole.flags.writeable = False  # it is handed out again
+        return whole
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class QueryCloud:
     """A query's depth as points in the camera frame, on a device.
 
-    ``points`` (n,) vec3; each beginning of the list is spread evenly over the image. ``sigmas`` (n,) is the noise of
-    their depth, metres, as the image itself shows it. ``count`` is n.
+    ``points`` (n,) vec3; all, and the first so many that ``EVEN_AT`` names, are spread evenly over the image.
+    ``sigmas`` (n,) is the noise of their depth, metres, as the image itself shows it. ``count`` is n.
     """
 
     points: wp.array
@@ -80,8 +91,7 @@ class QueryCloud:
 def query_cloud(query: Query, *, device: Device, most: int = MOST_POINTS) -> QueryCloud:
     """Return up to ``most`` of a query's points on a device."""
     depth = query.valid_depth()
-    order = _evenly_spread(*depth.shape)
-    chosen = order[depth.ravel()[order] > 0][:most]
+    chosen = _neighbours_together(_first_valid(depth, most), depth.shape[1])
     v, u = np.divmod(chosen, depth.shape[1])
     z = depth[v, u].astype(np.float64)
     camera = query.camera
@@ -93,6 +103,29 @@ def query_cloud(query: Query, *, device: Device, most: int = MOST_POINTS) -> Que
         sigma_median=float(np.median(sigmas)) if len(sigmas) else 0.0,
         points_camera=points,
     )
+
+
+def _first_valid(depth: NDArray[np.float32], most: int) -> NDArray[np.int64]:
+    """Return up to ``most`` valid pixels of a depth image, numbered row by row, in an order that is spread evenly."""
+    flat, order = depth.ravel(), _evenly_spread(*depth.shape)
+    # Looked for in a part of the list that should hold them, and in all of it only where that does not.
+    share = max(np.count_nonzero(flat), 1) / len(flat)
+    some = order[: int(1.2 * most / share) + 100]
+    chosen = some[flat[some] > 0]
+    if len(chosen) < most and len(some) < len(order):
+        chosen = order[flat[order] > 0]
+    return chosen[:most]
+
+
+def _neighbours_together(pixels: NDArray[np.int64], width: int) -> NDArray[np.int64]:
+    """Return pixels, numbered row by row, with those between two of ``EVEN_AT`` sorted by bands of rows.
+
+    Points that follow each other then ask for the same part of a model, which is in the cache by the second time.
+    """
+    v, u = np.divmod(pixels, width)
+    places = (v // _BAND_PX) * width + u
+    parts = np.split(np.arange(len(pixels)), [count for count in EVEN_AT if count < len(pixels)])
+    return np.concatenate([pixels[part[np.argsort(places[part], kind="stable")]] for part in parts])
 
 
 @lru_cache(maxsize=4)
@@ -129,7 +162,7 @@ def depth_noise(depth: NDArray[np.float32]) -> DepthNoise:
     fifth of them, where edges are, is left out; a median would not see the steps of a coarsely quantised depth. Noise
     that is alike in neighbouring pixels is not seen either way. Of a large image some rows tell enough.
     """
-    depth = depth[:: max(np.count_nonzero(depth > 0) // _NOISE_PIXELS, 1)]
+    depth = depth[:: -(-np.count_nonzero(depth) // _NOISE_PIXELS) or 1]
     left, middle, right = depth[:, :-2], depth[:, 1:-1], depth[:, 2:]
     valid = (left > 0) & (middle > 0) & (right > 0)
     if valid.sum() < _LEAST_PIXELS_A_BIN:

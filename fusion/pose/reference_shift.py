@@ -21,6 +21,9 @@ from fusion.pose.uncertainty import Uncertainty
 NEAR = 0.5
 """Radians, a shift by the typical depth counting as one: frames farther off see too little of the same."""
 
+_STEP_PX, _ENOUGH_PIXELS = 8, 100
+"""Every which row and column of a frame tells its typical depth, and in how many pixels something has to be seen."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ReferenceShift:
@@ -34,13 +37,23 @@ def nearest_reference(references: Sequence[ReferenceFrame], world_from_camera: M
     """Return the frame whose pose is nearest, None where none of them is near."""
     best, least = None, NEAR
     for reference in references:
-        seen = reference.depth[np.isfinite(reference.depth) & (reference.depth > 0)]
-        if len(seen):
+        depth = _typical_depth(reference.depth)
+        if depth is not None:
             poses = np.asarray(reference.world_from_camera)[None]
-            distance = float(pose_distances(poses, world_from_camera, depth=float(np.median(seen)))[0])
+            distance = float(pose_distances(poses, world_from_camera, depth=depth)[0])
             if distance < least:
                 best, least = reference, distance
     return best
+
+
+def _typical_depth(depth: NDArray[np.float32]) -> float | None:
+    """Return the median of a depth image, None where nothing is seen."""
+    for step in (_STEP_PX, 1):
+        some = depth[::step, ::step]
+        seen = some[np.isfinite(some) & (some > 0)]
+        if len(seen) >= _ENOUGH_PIXELS or (step == 1 and len(seen)):
+            return float(np.median(seen))
+    return None
 
 
 def reference_shift(reference: ReferenceFrame, found: Refinement) -> ReferenceShift | None:

@@ -13,8 +13,9 @@ ALL_TURNS_DEG, TURNS_APART_DEG = 45.0, 30.0
 ALL_SHIFTS = 0.12
 """Metres: with these turns, from which as large an error of a camera within a scene comes right."""
 
-_POINTS, _CELLS_ACROSS = 2000, 16
-"""The model's points that tell which of it is seen, and directions into which it is divided for that."""
+_POINTS, _CELLS_ACROSS, _CELLS = 2000, 16, 128
+"""The model's points that tell which of it is seen, directions into which it is divided for that, and how many of those
+about its middle are told from those beyond."""
 
 
 def ring_of_turns(turn_deg: float) -> NDArray[np.float64]:
@@ -83,11 +84,12 @@ def shifted_onto_depth(
     """Shift poses (n, 4, 4) so that the middle of what they should see of the model is that of the query's points."""
     points = model.surface_points.numpy()[:_POINTS] + model.origin_world
     normals = model.surface_normals.numpy()[:_POINTS]
-    middle_camera = np.median(points_camera, axis=0)
+    middle_camera = np.median(points_camera[:_POINTS], axis=0)
     result = poses.copy()
     for pose in result:
-        facing = ((points - pose[:3, 3]) * normals).sum(axis=1) < 0
-        seen = _in_front(transform_points(inverse(pose), points[facing]), model.diameter)
+        arms = points - pose[:3, 3]
+        facing = np.einsum("ij,ij->i", arms, normals) < 0
+        seen = _in_front(arms[facing] @ pose[:3, :3], model.diameter)
         middle = np.median(seen, axis=0) if len(seen) else transform_points(inverse(pose), model.centre_world)
         pose[:3, 3] += pose[:3, :3] @ (middle - middle_camera)
     return result
@@ -99,8 +101,9 @@ def _in_front(points_camera: NDArray[np.float64], diameter: float) -> NDArray[np
     if not len(points):
         return points
     directions = points[:, :2] / points[:, 2:]
-    cells = np.floor(directions * np.median(points[:, 2]) * _CELLS_ACROSS / diameter).astype(int)
-    _cells, cell_of = np.unique(cells, axis=0, return_inverse=True)
-    nearest = np.full(cell_of.max() + 1, np.inf)
+    cells = directions * (np.median(points[:, 2]) * _CELLS_ACROSS / diameter)
+    cells = np.clip(np.floor(cells - cells.mean(axis=0)) + _CELLS // 2, 0, _CELLS - 1).astype(int)
+    cell_of = cells[:, 0] * _CELLS + cells[:, 1]
+    nearest = np.full(_CELLS**2, np.inf)
     np.minimum.at(nearest, cell_of, points[:, 2])
     return points[points[:, 2] < nearest[cell_of] + diameter / _CELLS_ACROSS]

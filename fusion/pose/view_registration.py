@@ -6,12 +6,12 @@ runs of points, one solves; nothing is waited for between them.
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from fusion.pose.cholesky import Sums64, solve_symmetric
 from fusion.pose.normal_equations import SUMS, Sums, add_residual
 from fusion.pose.small_query import SmallQuery
 from fusion.pose.small_views import Views, pixel_at, point_at, views_of
@@ -27,8 +27,6 @@ LARGEST_DIFFERENCE = 0.02
 """In the query's depth: what lies farther apart, or has no counterpart, disagrees, and counts as much."""
 ROW_STEP = 2
 """Of the model's pixels that are looked for in the query, every second of every second row."""
-
-Sums64: Any = wp.types.vector(length=SUMS, dtype=wp.float64)
 
 _RUN = 32
 """Points a thread."""
@@ -115,39 +113,6 @@ def _gather(
             total[28] += 1.0
     for k in range(33):
         sums[index, k] = total[k]
-
-
-@wp.func
-def solve_symmetric(upper: Sums64, damping: wp.float64) -> wp.spatial_vectord:
-    """Return x of (A + damping · 1) x = −b, by Cholesky's factors.
-
-    ``upper`` holds A's upper triangle by rows (21), then b (6).
-    """
-    low = wp.spatial_matrixd()
-    x = wp.spatial_vectord()
-    for column in range(6):
-        for row in range(column, 6):
-            value = upper[column * 6 - column * (column - 1) / 2 + row - column]
-            if row == column:
-                value += damping
-            for k in range(column):
-                value -= low[row, k] * low[column, k]
-            if row == column:
-                low[row, column] = wp.sqrt(wp.max(value, wp.float64(1e-300)))
-            else:
-                low[row, column] = value / low[column, column]
-    for row in range(6):
-        value = -upper[21 + row]
-        for k in range(row):
-            value -= low[row, k] * x[k]
-        x[row] = value / low[row, row]
-    for back in range(6):
-        row = 5 - back
-        value = x[row]
-        for k in range(row + 1, 6):
-            value -= low[k, row] * x[k]
-        x[row] = value / low[row, row]
-    return x
 
 
 @wp.kernel

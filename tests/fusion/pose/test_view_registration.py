@@ -8,12 +8,13 @@ from scipy.spatial.transform import Rotation
 from three_balls import CAMERA, CENTRES, OFFSET, RADII, see, twist
 
 from datagen.rigid import look_at
+from fusion.pose.cholesky import Sums64, solve_symmetric
 from fusion.pose.normal_equations import SUMS
 from fusion.pose.pose_distance import pose_distances
 from fusion.pose.se3 import exp_se3, perturb
 from fusion.pose.small_query import small_query
 from fusion.pose.view_index import PATCH_SIDE, index_views, patch_differences, turn_between
-from fusion.pose.view_registration import Sums64, register, solve_symmetric
+from fusion.pose.view_registration import register
 from fusion.surface.mesh import Mesh
 
 POSE = look_at(OFFSET + np.array([0.35, -0.56, 0.21]), OFFSET)
