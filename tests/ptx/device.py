@@ -61,6 +61,8 @@ _PASSED_ON = {
     "wp_cuda_toolkit_version",
     "wp_alloc_tracker_is_enabled",
 }
+# What objects do as they end, and that around which they do it.
+_BY_COLLECTOR = ("_destroy", "_destroy_device", "free_device_async", "free_device_default", "free_pinned", "_current")
 
 
 def _number(value: Any) -> int:
@@ -97,6 +99,8 @@ class Machine:
         self._contexts: list[int | None] = [None]
         self._graphs_own: set[int] = set()
         self._lock = threading.RLock()
+        self._inside = False
+        self._put_off: list[tuple[Callable[..., Any], tuple[Any, ...]]] = []
 
     def __getattr__(self, name: str) -> Any:
         if not name.startswith("wp_"):
@@ -115,9 +119,25 @@ class Machine:
         return function
 
     def _locked(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        """Return a function that one thread runs at a time.
+
+        Python collects garbage whenever it likes, also within one of these: what that frees waits for its end.
+        """
+
         def call(*args: Any) -> Any:
             with self._lock:
-                return function(self, *args)
+                if self._inside:
+                    assert function.__name__.endswith(_BY_COLLECTOR), function.__name__
+                    self._put_off.append((function, args))
+                    return None
+                self._inside = True
+                try:
+                    return function(self, *args)
+                finally:
+                    while self._put_off:
+                        put_off, its_args = self._put_off.pop(0)
+                        put_off(self, *its_args)
+                    self._inside = False
 
         return call
 

@@ -427,6 +427,17 @@ def _words(name: str, operands: list[str], function: Function) -> str:
     return write(operands[0], "u32", f"{name}({values})", function)
 
 
+def _dot(operation: str, modifiers: list[str], operands: list[str], function: Function) -> str:
+    """Return dp2a and dp4a: sums of products of a's halves or bytes with b's bytes."""
+    *half, a_kind, b_kind = modifiers
+    signs = f"{int(a_kind[0] == 's')}, {int(b_kind[0] == 's')}"
+    if {a_kind, b_kind} - {"u32", "s32"} or set(half) - {"lo", "hi"}:
+        raise UnknownPtxError(operation)
+    values = ", ".join(read(o, "u32", function) for o in operands[1:])
+    first = 2 if "hi" in half else 0
+    return write(operands[0], "u32", f"dot({2 if operation == 'dp2a' else 4}, {first}, {signs}, {values})", function)
+
+
 def _together(operation: str, modifiers: list[str], operands: list[str], function: Function) -> str:
     """Return what makes threads wait for each other."""
     function.together = True
@@ -456,6 +467,7 @@ _HANDLERS: dict[str, _Handler] = {
     **dict.fromkeys(("shl", "shr"), _shift),
     **dict.fromkeys(("bfi", "bfe"), _field),
     **dict.fromkeys(("bar", "barrier", "vote", "shfl", "activemask", "match", "redux"), _together),
+    **dict.fromkeys(("dp2a", "dp4a"), _dot),
     "bfind": lambda _, m, o, f: _find_bit(m, o, f),
     "ld": lambda _, m, o, f: _load(m, o, f),
     "st": lambda _, m, o, f: _store(m, o, f),

@@ -175,6 +175,15 @@ static inline u32 lop3(u32 a, u32 b, u32 c, u32 table) {
         if (table >> i & 1) r |= (i & 4 ? a : ~a) & (i & 2 ? b : ~b) & (i & 1 ? c : ~c);
     return r;
 }
+static inline u32 dot(int count, int first, int a_signed, int b_signed, u32 a, u32 b, u32 c) {
+    const int width = 32 / count;
+    for (int i = 0; i < count; ++i) {
+        const u32 part = a << (32 - width * (i + 1)), byte = b << (24 - 8 * (first + i));
+        const s64 x = a_signed ? (s64)((s32)part >> (32 - width)) : (s64)(part >> (32 - width));
+        c += (u32)(x * (b_signed ? (s64)((s32)byte >> 24) : (s64)(byte >> 24)));
+    }
+    return c;
+}
 static inline u32 shf_l_wrap(u32 a, u32 b, u32 n) { n &= 31; return (u32)((((u64)b << 32 | a) << n) >> 32); }
 static inline u32 shf_r_wrap(u32 a, u32 b, u32 n) { n &= 31; return (u32)(((u64)b << 32 | a) >> n); }
 static inline u32 shf_l_clamp(u32 a, u32 b, u32 n) { return n >= 32 ? a : shf_l_wrap(a, b, n); }
@@ -194,7 +203,7 @@ static inline u32 shf_r_clamp(u32 a, u32 b, u32 n) { return n >= 32 ? b : shf_r_
     static inline T ftz_##T(T a) { return fabs##SUFFIX(a) < MIN_NORMAL ? copysign##SUFFIX(0, a) : a; } \
     static inline T fma_##T(T a, T b, T c) { return fma##SUFFIX(a, b, c); } \
     static inline T sqrt_##T(T a) { return sqrt##SUFFIX(a); } \
-    static inline T copysign_##T(T a, T b) { return copysign##SUFFIX(a, b); } \
+    static inline T copysign_##T(T a, T b) { return copysign##SUFFIX(b, a); } /* a's sign, b's size */ \
     static inline T abs_##T(T a) { return fabs##SUFFIX(a); } \
     static inline T rni_##T(T a) { return rint##SUFFIX(a); } \
     static inline T rzi_##T(T a) { return trunc##SUFFIX(a); } \
