@@ -135,12 +135,14 @@ class BoxFlatness:
             outputs=[self._points, self._cells],
             device=self.device,
         )
+        self._held: tuple[NDArray[np.int32], NDArray[np.uint8]] | None = None
         self._fine = self._mesh(self._points, _triangles(self.corners, splits.numpy(), self._crossings))
 
     def refuse_far(self, tree: BoxTree, splits: wp.array) -> bool:
         """Refuse boxes that are more than ``flatness`` voxels off, for quads cut so; return whether there are any."""
         levels, owners = tree.boxes.levels.numpy(), tree.boxes.owners.numpy()
-        merged = np.flatnonzero(levels)
+        changed = self._changed(owners, levels)
+        merged = np.flatnonzero((levels > 0) & changed[owners])
         if len(merged) == 0:
             return False
         points = wp.clone(self._points)
@@ -152,6 +154,7 @@ class BoxFlatness:
         refused = tree.boxes.refused.numpy()
         far = self._far(self._mesh(points, triangles), self._points.numpy()[merged])
         refused[owners[merged[far]]] = 1
+        triangles = triangles[changed[np.minimum(triangles, len(levels) - 1)].any(axis=1)]
         samples = np.einsum("sk,mkc->smc", _SAMPLES, points.numpy()[triangles])
         off = self._far(self._fine, samples.reshape(-1, 3)).reshape(len(_SAMPLES), -1).any(axis=0)
         corners = triangles[off].ravel()
@@ -159,6 +162,16 @@ class BoxFlatness:
         refused[corners[levels[corners] > 0]] = 1
         tree.boxes.refused.assign(refused)
         return bool(far.any() or off.any())
+
+    def _changed(self, owners: NDArray[np.int32], levels: NDArray[np.uint8]) -> NDArray[np.bool_]:
+        """Return which owners (n,), as they are and with those around them, were not yet held against the cells."""
+        before, self._held = self._held, (owners.copy(), levels.copy())  # on the CPU these are views
+        changed = np.ones(len(owners), bool)
+        if before is not None:
+            touched = ((owners != before[0]) | (levels != before[1]))[self.corners].any(axis=1)
+            changed[:] = False
+            changed[owners[self.corners[touched]]] = True
+        return changed
 
     def _mesh(self, points: wp.array, triangles: NDArray[np.int32]) -> wp.Mesh:
         used, corners = np.unique(triangles, return_inverse=True)

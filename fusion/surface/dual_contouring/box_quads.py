@@ -101,6 +101,16 @@ def along_edge(point: wp.vec3, low: int, side: int) -> wp.vec3:
     return wp.vec3(point[0], point[1], (point[2] - float(low)) / float(side))
 
 
+@wp.func
+def changed_near(grid: DualGrid, boxes: Boxes, slot: int) -> bool:
+    """Return whether a box at a block's quads was split last."""
+    for corner in range(8):
+        holder = grid.cells.lower[slot, corner]
+        if holder >= 0 and boxes.changed[holder] != wp.uint8(0):
+            return True
+    return False
+
+
 @wp.kernel
 def _cut(
     first: int,
@@ -113,7 +123,7 @@ def _cut(
 ) -> None:
     layer = wp.tid() + first
     quad = grid.quad_starts[layer]
-    if quad == grid.quad_starts[layer + 1]:
+    if quad == grid.quad_starts[layer + 1] or not changed_near(grid, boxes, layer >> 3):
         return
     for axis in range(3):
         left = complete_along(grid, layer, axis)
@@ -203,7 +213,10 @@ def check(boxes: Boxes, cells: wp.vec4i, i: int, a: Corner, b: Corner, at_same: 
 def cut_quads_of_boxes(
     grid: DualGrid, along: wp.array, corners: wp.array, boxes: Boxes, cell_splits: wp.array, splits: wp.array
 ) -> None:
-    """Write how quads are cut (``quad_split``), from how those between cells are; boxes that do not fit are refused."""
+    """Write how quads are cut (``quad_split``), from how those between cells are; boxes that do not fit are refused.
+
+    What is far from boxes that were split last stays as it is.
+    """
     launch_over_layers(
         _cut,
         dim=len(grid.several),

@@ -34,6 +34,8 @@ def _find_owners(
 ) -> None:
     layer = wp.tid() + first
     slot = layer >> 3
+    if boxes.changed[slot] == wp.uint8(0):
+        return
     left = words.tame[layer]
     while left != NONE:
         bit = lowest_bit(left)
@@ -62,6 +64,7 @@ def _split(first: int, level: int, boxes: Boxes) -> None:
         lowest = boxes.first[number]
         if int(boxes.levels[lowest]) == level and boxes.refused[lowest] != wp.uint8(0):
             boxes.states[number] = NOT_MERGED
+            boxes.changed[slot] = wp.uint8(1)
 
 
 @wp.kernel
@@ -119,6 +122,7 @@ class BoxTree:
         boxes.owners = wp.empty(self._vertices, dtype=int, device=self.device)
         boxes.levels = wp.zeros(self._vertices, dtype=wp.uint8, device=self.device)
         boxes.owner_places = wp.clone(places)
+        boxes.changed = wp.full(self.slots, wp.uint8(1), dtype=wp.uint8, device=self.device)
         boxes.refused = wp.zeros(self._vertices, dtype=wp.uint8, device=self.device)
         wp.launch(_count_up, dim=self._vertices, outputs=[boxes.owners], device=self.device)
         merge_boxes(grid, self.words, places, normals, boxes, flatness=flatness)
@@ -126,6 +130,7 @@ class BoxTree:
 
     def split_refused(self) -> None:
         """Split the boxes whose owners are ``refused``, and forget these."""
+        self.boxes.changed.zero_()
         for level in range(1, LEVELS + 1):
             dim = self.slots * (512 >> (3 * level))
             launch_over_layers(_split, dim=dim, inputs=[level], outputs=[self.boxes], device=self.device)

@@ -27,7 +27,8 @@ class Boxes:
 
     ``places`` are in voxels from the box's lowest corner. By vertices of cells (n,): the ``owners``, numbers of the
     vertices that take their place, the ``levels`` of the boxes that these serve, 0 for a cell, and where they are
-    there, ``owner_places``; ``refused`` is set for owners whose box is to be split.
+    there, ``owner_places``; ``refused`` is set for owners whose box is to be split. By slots, ``changed`` is set where
+    a box was split last.
     """
 
     states: wp.array(dtype=wp.uint8)
@@ -37,6 +38,7 @@ class Boxes:
     levels: wp.array(dtype=wp.uint8)
     owner_places: wp.array(dtype=wp.vec3)
     refused: wp.array(dtype=wp.uint8)
+    changed: wp.array(dtype=wp.uint8)
 
 
 @wp.func
