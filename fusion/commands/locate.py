@@ -192,7 +192,7 @@ def _refined_cells(pose: LocatedPose, *, known: bool) -> list[str]:
         return ["–"] * (5 if known else 3)
     place = "–"
     if found.camera_from_object is not None:
-        place = " ".join(f"{line[3]:.3f}" for line in found.camera_from_object[:3])
+        place = " ".join(f"{line[3]:z.3f}" for line in found.camera_from_object[:3])
     spread = None if found.uncertainty is None else found.uncertainty.deviations_mm[-1]
     cells = [_number(found.quality, 2), place, _number(spread, 2)]
     return cells + ([_number(found.rotation_error_deg, 3), _millimetres(found.translation_error_m)] if known else [])
