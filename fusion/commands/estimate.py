@@ -45,7 +45,12 @@ def _run(options: argparse.Namespace) -> None:
     truncation = options.truncation or VOXELS_PER_TRUNCATION * voxel_size
     sizes = {"triangles": found.triangles(voxel_size), "volume_bytes": found.volume_bytes(voxel_size, truncation)}
     text = (
-        f"{found.frames} frames at a voxel size of {voxel_size:g} m: about {sizes['triangles']:,} triangles, "
-        f"{sizes['volume_bytes'] / 2**20:,.0f} MiB of voxels"
+        f"{found.frames} frames at a voxel size of {voxel_size:g} m: about {_rounded(sizes['triangles'])} triangles, "
+        f"{_rounded(sizes['volume_bytes'] / 2**20)} MiB of voxels"
     )
     print_result(options, asdict(found) | sizes | {"devices": available_devices()}, text)
+
+
+def _rounded(value: float) -> str:
+    """Return a number with two digits: more are not known of it."""
+    return f"{float(f'{value:.2g}'):,.0f}"

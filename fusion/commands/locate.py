@@ -146,6 +146,8 @@ def _queries(options: argparse.Namespace) -> QuerySource:
     if options.dataset is None:
         if options.frames is not None:
             raise InputError(f"--frames {options.frames}: a slice over a dataset's frames; name the dataset too")
+        if not (options.color or options.depth or options.mask):
+            raise InputError("nothing to locate: name a DATASET, or one image by --color, --depth or --mask")
         return image_query(
             ImageFiles(
                 color=options.color,

@@ -108,7 +108,7 @@ def test_inputs_that_cannot_be_meant_are_refused(capsys, folder):
         ((model, data, "--object", "3"), "give --mask too"),
         ((model, data, "--color", "c.png"), "is for one image"),
         ((model, "--frames", "::2"), "name the dataset too"),
-        ((model,), "neither depth nor mask"),
+        ((model,), "name a DATASET"),
         ((model, "--mask", folder / "mask.png", *INTRINSICS, "--stages", "nearest,depth"), "depth needs depth"),
         ((model, "--mask", folder / "mask.png", *INTRINSICS, "--stages", "nearest,epipolar"), "epipolar needs colour"),
         ((folder / "none.ply", data), "no such file"),
