@@ -139,7 +139,8 @@ def model_of(name, model, camera, points):
 
 def cad_model(name, mesh, device):
     cad = CadModel(source=name, mesh=mesh, points=mesh.vertices.astype(float))
-    return model_of(name, prepare_model(cad.volume(device=device)), CAMERA, surface_sample(mesh, _POINTS))
+    model = prepare_model(cad.volume(device=device), outline=mesh)
+    return model_of(name, model, CAMERA, surface_sample(mesh, _POINTS))
 
 
 def random_view(mesh, rng, device):

@@ -36,7 +36,8 @@ def box_model(device):
     cube = np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(-1, 3)
     cube = cube[np.abs(cube).max(axis=1) == 0.5]
     faces = np.concatenate([np.array(at) + np.array(extents) * cube for extents, at in BOXES])
-    return prepare_model(volume_from_distances(box_distances, faces, voxel_size=VOXEL, device=device))
+    volume = volume_from_distances(box_distances, faces, voxel_size=VOXEL, device=device)
+    return prepare_model(volume, outline=boxes())
 
 
 def see_boxes(pose, device, camera=CAMERA):

@@ -26,7 +26,8 @@ SURFACE_SAMPLES = 8000
 class PoseModel:
     """A reconstruction that views are located in.
 
-    ``mesh`` is the volume's surface with normals, world frame; ``field`` what kernels read, in the local frame, whose
+    ``mesh`` is the volume's surface with normals, world frame, and ``outline`` what silhouettes are of: the same, or a
+    mesh that the volume was made from, whose edges are sharp; ``field`` what kernels read, in the local frame, whose
     origin is at ``origin_world``; ``surface_points``, ``surface_normals`` (n,) vec3, local, lie spread over the
     surface, and so does every beginning of their list. ``centre_world`` and ``diameter`` (metres)
     are those of the surface's box.
@@ -34,6 +35,7 @@ class PoseModel:
 
     volume: Volume
     mesh: Mesh
+    outline: Mesh
     grid: DistanceGrid
     field: ModelField
     origin_world: NDArray[np.float64]
@@ -57,6 +59,11 @@ class PoseModel:
         """The mesh's, to cast rays at."""
         return mesh_hierarchy(self.mesh, device=self.device)
 
+    @cached_property
+    def outline_hierarchy(self) -> Hierarchy:
+        """The outline's."""
+        return self.hierarchy if self.outline is self.mesh else mesh_hierarchy(self.outline, device=self.device)
+
     def local(self, world_from_camera: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return poses (…, 4, 4) as local_from_camera."""
         result = np.array(world_from_camera, dtype=np.float64)
@@ -73,10 +80,11 @@ class PoseModel:
         return found["distance"], found["normal"], found["source"]
 
 
-def prepare_model(volume: Volume, *, mesh: Mesh | None = None) -> PoseModel:
+def prepare_model(volume: Volume, *, mesh: Mesh | None = None, outline: Mesh | None = None) -> PoseModel:
     """Make a volume ready for locating views in it.
 
-    ``mesh`` is its surface with normals if that is there already. Raises InputError where the volume has no surface.
+    ``mesh`` is its surface with normals if that is there already, ``outline`` the mesh it was made from, world frame,
+    if it was made from one. Raises InputError where the volume has no surface.
     """
     device = volume.device
     if mesh is None or mesh.normals is None:
@@ -92,6 +100,7 @@ def prepare_model(volume: Volume, *, mesh: Mesh | None = None) -> PoseModel:
     return PoseModel(
         volume=volume,
         mesh=mesh,
+        outline=mesh if outline is None else outline,
         grid=grid,
         field=_field(volume, grid, origin, BLOCK_SIDE * block),
         origin_world=origin,

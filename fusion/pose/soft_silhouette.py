@@ -2,10 +2,10 @@
 
 For each pixel just beside the silhouette the ray's nearest approach to the surface is found; the distance there, seen
 as pixels, is the pixel's distance s from the silhouette's edge. All others take that of one of these, and the way
-between them: what is under the surface, thick or thin, has no part in the silhouette, and what is far from it is not
-well known. Coverage is Φ(−s/σ), Φ the normal distribution: that of a sharp silhouette blurred by a Gaussian of σ
-pixels, where its edge is straight. Where a ray comes nearest does not change the distance in first order, so the
-derivative is that of the distance at a fixed place of the ray; Warp's tape takes it, for all six parameters of a pose.
+between them: what is under the surface, thick or thin, has no part in the silhouette. Coverage is Φ(−s/σ), Φ the normal
+distribution: that of a sharp silhouette blurred by a Gaussian of σ pixels, where its edge is straight. Where a ray
+comes nearest does not change the distance in first order, so the derivative is that of the distance at a fixed place of
+the ray; Warp's tape takes it, for all six parameters of a pose.
 """
 
 from dataclasses import dataclass
@@ -23,8 +23,9 @@ from fusion.pose.pose_model import PoseModel
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 BESIDE_PX = 1.0
-"""Pixels no farther from the silhouette tell of all others: a fused field is right next to the surface alone."""
-_BESIDE_PX = wp.constant(BESIDE_PX)
+"""Pixels no farther from the silhouette tell of all others: what they know of its edge is next to them."""
+_BESIDE_PX, _ABOVE_PX = wp.constant(BESIDE_PX), wp.constant(-0.5)
+"""The second: a ray that misses the mesh may yet be within the surface, by as much as the mesh was corrected."""
 _HALF_PIECE_PX = wp.constant(0.7)
 """Of the edge, half of what a pixel beside it tells of: its diagonal, so that the pieces leave no gaps."""
 _REACH_SIGMAS = 3.0
@@ -65,12 +66,10 @@ class SilhouetteRenderer:
         device = model.device
         self._shape = poses, len(pixels)
         reach = int(np.ceil(_REACH_SIGMAS * softness_px)) + 1
-        self._finder = ApproachFinder(
-            model, camera, pixels, poses=poses, fine_within_px=BESIDE_PX, reach_px=float(reach)
-        )
+        self._finder = ApproachFinder(model, camera, pixels, poses=poses)
         size = poses * len(pixels)
         told = [wp.zeros(size, dtype=kind, device=device) for kind in (int, float, float)]
-        self._tell = _teller(self._finder, np.asarray(pixels), reach, told)
+        self._tell = _teller(self._finder, reach, told)
         self._twists = wp.zeros(size, dtype=wp.spatial_vector, device=device, requires_grad=True)
         self._coverage = wp.zeros(size, dtype=float, device=device, requires_grad=True)
         self._edge = wp.zeros(size, dtype=float, device=device)
@@ -110,6 +109,12 @@ class SilhouetteRenderer:
         )
 
 
+@wp.func
+def is_beside(edge_px: float) -> bool:
+    """Return whether a pixel is next to the silhouette, so that it knows a piece of the edge."""
+    return edge_px > _ABOVE_PX and edge_px < _BESIDE_PX
+
+
 @wp.kernel
 def _tell_from_beside(
     first: int,
@@ -127,7 +132,7 @@ def _tell_from_beside(
     within_px[index] = 0.0
     shares[index] = 1.0
     own = edges_px[index]
-    if own >= float(reach) or (own >= 0.0 and own < _BESIDE_PX):
+    if is_beside(own):
         return
     if own < 0.0:
         within_px[index] = wp.inf
@@ -140,11 +145,10 @@ def _tell_from_beside(
             other = held[row, column]
             if other >= 0:
                 other += index - pixel
-                if edges_px[other] >= 0.0 and edges_px[other] < _BESIDE_PX:
+                if is_beside(edges_px[other]):
                     way = wp.vec2(float(place[1] - column), float(place[0] - row))
-                    slope = wp.length(slopes[other])
-                    unit = slopes[other] / wp.max(slope, 0.1)
-                    across = edges_px[other] / wp.max(slope, 0.1) + wp.dot(unit, way)
+                    unit = slopes[other]
+                    across = edges_px[other] + wp.dot(unit, way)
                     along = wp.max(wp.abs(unit[0] * way[1] - unit[1] * way[0]) - _HALF_PIECE_PX, 0.0)
                     far = wp.sqrt(across * across + along * along)
                     if far < least:
@@ -155,27 +159,18 @@ def _tell_from_beside(
                         within_px[index] = shares[index] * edges_px[other] - side * far
 
 
-def _teller(finder: ApproachFinder, pixels: NDArray[np.floating], reach: int, told: list[wp.array]) -> SlabLaunch:
+def _teller(finder: ApproachFinder, reach: int, told: list[wp.array]) -> SlabLaunch:
     """Return what tells which pixel beside the silhouette tells of each pixel, and how much farther within this one is.
 
-    ``pixels`` (n, 2) are whole. A pixel beside it knows a piece of the edge, square to its slope, and the nearest piece
-    tells. ``told`` (k · n,) are the indices, how many pixels farther within, infinite within where no piece is in
-    ``reach``, and the share of the other's distance that this is to be taken from.
+    A pixel beside it knows a piece of the edge, square to its slope, and the nearest piece tells. ``told`` (k · n,) are
+    the indices, how many pixels farther within, infinite within where no piece is in ``reach``, and the share of the
+    other's distance that this is to be taken from.
     """
-    device = finder.edges_px.device
-    places = np.rint(pixels[:, ::-1]).astype(np.int32)
-    places -= places.min(axis=0)
-    held = np.full(places.max(axis=0) + 1, -1, np.int32)
-    held[places[:, 0], places[:, 1]] = np.arange(len(places))
     return SlabLaunch(
         _tell_from_beside,
         dim=len(finder.edges_px),
-        inputs=[
-            wp.array(places, dtype=wp.vec2i, device=device),
-            wp.array(held, dtype=int, device=device),
-            *(finder.edges_px, finder.slopes, reach),
-        ],
+        inputs=[finder.places, finder.held, finder.edges_px, finder.slopes, reach],
         outputs=told,
-        device=device,
+        device=finder.edges_px.device,
         least_slab=512,
     )

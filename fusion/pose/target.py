@@ -142,7 +142,7 @@ def _of_cad(cad: CadModel, device: Device) -> PoseModel:
     """
     for voxels in (VOXELS_ACROSS, 2 * VOXELS_ACROSS):
         try:
-            model = prepare_model(cad.volume(device=device, voxels_across=voxels))
+            model = prepare_model(cad.volume(device=device, voxels_across=voxels), outline=cad.mesh)
         except InputError as error:
             reason = f"{error}; is the mesh closed? Its inside has to be told from its outside"
             raise InputError(f"{cad.source}: {reason}") from None
