@@ -21,8 +21,8 @@ def check_dataset(
     ``seed`` decides which pixels are compared. Raises InputError where not one frame can be used for anything.
     """
     chosen = dataset.frame_ids if frame_ids is None else frame_ids
-    facts = read_frames(dataset, chosen, progress("reading", len(chosen)))
-    done = progress("comparing", 2)
+    facts = read_frames(dataset, chosen, progress("Reading", len(chosen)))
+    done = progress("Comparing", 2)
     rng = np.random.default_rng([seed, 0])
     findings = [*check_files(facts), *check_intrinsics(dataset.camera), *check_images(facts), *check_trajectory(facts)]
     basis: dict[str, object] = {"frames_read": len(facts)}
