@@ -181,19 +181,20 @@ def cut_of(
     if ring3.side < side:
         side = ring3.side
         low = ring3.low[2]
+    margin = grid.inset / float(side)
     a = along_edge(ring0.point, low, side)
     b = along_edge(ring1.point, low, side)
     c = along_edge(ring2.point, low, side)
     d = along_edge(ring3.point, low, side)
     if same == 0:
-        return split_of(grid.inset, a, b, c, d, (crossed_at - float(low)) / float(side))
+        return split_of(margin, a, b, c, d, (crossed_at - float(low)) / float(side))
     if at_same == 0:
         b = c
         c = d
     if at_same == 1:
         c = d
     height = pierced_at(a, b, c)
-    if height < 0.5 * grid.inset or height > 1.0 - 0.5 * grid.inset:
+    if height < 0.5 * margin or height > 1.0 - 0.5 * margin:
         return FAN
     return WITHOUT_CORNER + at_same
 

@@ -50,7 +50,7 @@ def dual_contouring(
     assert min_weight >= 0, "an unseen voxel's weight is 0"
     snap = min(MOST_SNAP, 0.25 * flatness)
     if snap > 0 and oracle is None:
-        volume = snapped(volume, within=snap)
+        volume = snapped(volume, min_weight=min_weight, within=snap)
     grid, counts = find_grid(volume, oracle, min_weight=min_weight, snap=snap)
     along = edge_points(volume, grid, counts, oracle)
     curve_points = None if oracle is None else face_points(volume, grid, counts, oracle, along)
