@@ -88,7 +88,8 @@ def _statements(text: str) -> list[tuple[int, str]]:
     found, held, begun = [], "", 0
     for number, commented in enumerate(text.split("\n")):
         line = commented.split("//")[0].strip()
-        if not line or line.split()[0] in {".loc", ".pragma", ".file"}:
+        # Braces around a statement of inline assembly, in which no register is declared.
+        if not line or line.split()[0] in {".loc", ".pragma", ".file"} or (line == "{" and not held):
             continue
         label = re.match(r"^([\w$]+):$", line)
         if label and not held:
@@ -96,9 +97,9 @@ def _statements(text: str) -> list[tuple[int, str]]:
             continue
         for piece in re.split(r"(;)", line):
             if piece == ";":
-                found.append((begun, " ".join(held.split())))
+                found.append((begun, " ".join(held.split()).lstrip("{ ")))
                 held = ""
-            elif piece.strip():
+            elif piece.strip() and not (piece.strip() == "}" and not held):
                 begun = begun if held else number
                 held += " " + piece.strip()
     if held.strip():
