@@ -149,6 +149,11 @@ class DepthProblem:
         return bool(at_edge.mean() > _CUT_FROM)
 
 
+def model_noise(model: PoseModel) -> float:
+    """Return the standard deviation of a model's own distances where it was seen well, metres."""
+    return _MODEL_NOISE_VOXELS * model.voxel_size
+
+
 def depth_problem(model: PoseModel, query: Query, cloud: QueryCloud, start: Matrix) -> DepthProblem:
     """Choose the pivot, in the middle of what is seen: turning and shifting about it are nearly independent there."""
     points = transform_points(start, cloud.points_camera[:MIDDLE_POINTS])
@@ -158,7 +163,7 @@ def depth_problem(model: PoseModel, query: Query, cloud: QueryCloud, start: Matr
         camera=query.camera,
         cloud=cloud,
         view=query_view(query, model=model),
-        floor=_MODEL_NOISE_VOXELS * model.voxel_size,
+        floor=model_noise(model),
         pivot_world=pivot,
         radius=max(float(np.sqrt(((points - pivot) ** 2).sum(axis=1).mean())), 4 * model.voxel_size),
     )

@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.rigid import Matrix, rigid
-from fusion.pose.depth_problem import SETTLED_FLOORS, DepthProblem, depth_problem
+from fusion.pose.depth_problem import SETTLED_FLOORS, DepthProblem, depth_problem, model_noise
 from fusion.pose.depth_search import better, finest, from_many, from_one, nearly
 from fusion.pose.levenberg_marquardt import Descent
 from fusion.pose.pose_model import PoseModel
-from fusion.pose.query import Query, query_cloud
+from fusion.pose.query import MOST_POINTS, Query, query_cloud
 from fusion.pose.reference_frame import ReferenceFrame
 from fusion.pose.reference_shift import nearest_reference, reference_shift, without_shift
 from fusion.pose.refinement import Refinement, declined
@@ -28,6 +28,8 @@ from fusion.pose.uncertainty import uncertainty
 Starts = Literal["auto", "one", "many", "here"]
 
 FEWEST_POINTS = 60
+_STEP_PX = 4
+"""Every which row and column tells a view's typical depth."""
 _ENOUGH, _ENOUGH_OF_A_SCENE = 0.65, 0.9
 """Share of the view that has to be explained for no other start to be tried. Of a part of a scene it is more: a pose
 that slid along a floor explains much of it, too."""
@@ -39,11 +41,11 @@ class DepthRefinementOptions:
 
     ``starts``: the given pose alone, many about it, or, with auto, many only where one does not explain the view;
     ``here`` for a pose that is right but for the noise.
-    ``most_points`` of the query are compared at the finest level.
+    Where the query's noise is more than the model's, more of its points are compared, at most ``most_points``.
     """
 
     starts: Starts = "auto"
-    most_points: int = 8000
+    most_points: int = 4 * MOST_POINTS
 
 
 def refine_with_depth(
@@ -81,7 +83,7 @@ def _refined(
 ) -> Refinement:
     """Refine a pose by depth alone."""
     start = rigid(world_from_camera, source="start of the refinement")
-    cloud = query_cloud(query, device=model.device, most=options.most_points)
+    cloud = query_cloud(query, device=model.device, most=_telling_points(model, query, options))
     if cloud.count < FEWEST_POINTS:
         where = "the mask" if query.mask is not None else "the image"
         reason = f"{cloud.count} pixels of {where} have a depth, fewer than the {FEWEST_POINTS} that fix a pose"
@@ -89,6 +91,17 @@ def _refined(
     problem = depth_problem(model, query, cloud, start)
     found = nearly(problem, start[None]) if options.starts == "here" else _searched(problem, start, others, options)
     return _result(problem, finest(problem, found), start)
+
+
+def _telling_points(model: PoseModel, query: Query, options: DepthRefinementOptions) -> int:
+    """Return how many points tell the pose: as noise makes a pose off by σ/√n, as many times more as σ² is the model's.
+
+    What a model is itself off by is alike in points next to each other, and more of them tell nothing new.
+    """
+    depth = query.valid_depth()[::_STEP_PX, ::_STEP_PX]
+    seen = depth[depth > 0]
+    noise = float(query.noise(np.median(seen))) if len(seen) else 0.0
+    return int(np.clip(MOST_POINTS * (noise / model_noise(model)) ** 2, MOST_POINTS, options.most_points))
 
 
 def _searched(

@@ -12,6 +12,7 @@ from datagen.rigid import Matrix
 from fusion.pose.depth_problem import MIDDLE_POINTS, DepthProblem
 from fusion.pose.levenberg_marquardt import Descent
 from fusion.pose.normal_equations import GEMAN_MCCLURE, TUKEY
+from fusion.pose.query import MOST_POINTS
 from fusion.pose.starting_poses import shifted_onto_depth
 
 CLEARLY = 1.03
@@ -19,8 +20,10 @@ CLEARLY = 1.03
 
 _TUKEY_SIGMAS = 4.685
 """Tukey's kernel of this many standard deviations has 95 % of the efficiency of least squares."""
+_NOISE_ALONE = 1.25
+"""Residuals of this many of their expected standard deviations are noise and nothing else."""
 _COARSE_POINTS = 500
-_COARSE_ROUNDS, _COARSE_STEPS, _MIDDLE_STEPS, _FINE_STEPS = 4, 4, 6, 12
+_COARSE_ROUNDS, _COARSE_STEPS, _MIDDLE_STEPS, _FINE_STEPS, _LAST_STEPS = 4, 4, 6, 12, 3
 _MANY_POINTS, _KEPT = 300, 4
 _FEW_POINTS, _FEW_ROUNDS, _KEPT_OF_HUNDREDS = 100, 3, 24
 _HUNDREDS, _TENS = 60, 10
@@ -71,9 +74,17 @@ def nearly(problem: DepthProblem, poses: NDArray[np.float64]) -> Descent:
 
 
 def finest(problem: DepthProblem, found: Descent) -> Descent:
-    """Descend from a pose that is nearly right with all points."""
-    last = _within_noise(problem, found.poses, count=problem.cloud.count, steps=_FINE_STEPS)
-    return replace(last, iterations=found.iterations + last.iterations)
+    """Descend from a pose that is nearly right with many points, then, where noise is all that is left, with all.
+
+    What else keeps points off the surface is alike in points next to each other, and more of them tell nothing new.
+    """
+    last = _within_noise(problem, found.poses, count=MOST_POINTS, steps=_FINE_STEPS)
+    spent = found.iterations + last.iterations
+    left = problem.spread(last.poses, count=MIDDLE_POINTS)[0]
+    if problem.cloud.count > MOST_POINTS and left < _NOISE_ALONE * problem.floor:
+        last = _within_noise(problem, last.poses, count=problem.cloud.count, steps=_LAST_STEPS)
+        spent += last.iterations
+    return replace(last, iterations=spent)
 
 
 def _within_noise(problem: DepthProblem, poses: NDArray[np.float64], *, count: int, steps: int) -> Descent:

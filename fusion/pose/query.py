@@ -12,9 +12,9 @@ from datagen.errors import InputError
 from fusion.devices import Device
 
 MOST_POINTS = 8000
-"""Of a query's pixels that are compared with the model."""
+"""Of a query's pixels that are compared with the model, where their noise is no more than the model's."""
 
-EVEN_AT = (100, 300, 500, 2000)
+EVEN_AT = (100, 300, 500, 2000, MOST_POINTS)
 """How many points of a cloud are spread evenly over the image: so many are asked for before all are."""
 _BAND_PX = 16
 
@@ -52,14 +52,25 @@ class Query:
 
         Raises InputError where the query has no depth.
         """
-        depth = self.whole_depth()
-        return depth if self.mask is None else np.where(self.mask, depth, np.float32(0))
+        self.whole_depth()
+        return self._valid
 
     def whole_depth(self) -> NDArray[np.float32]:
         """Return depth with 0 wherever it is not finite or not positive, outside the mask too; errors as above."""
         if self.depth is None:
             raise InputError("query: has no depth image; refine it by its silhouette")
         return self._whole
+
+    @cached_property
+    def _valid(self) -> NDArray[np.float32]:
+        valid = self._whole if self.mask is None else np.where(self.mask, self._whole, np.float32(0))
+        valid.flags.writeable = False
+        return valid
+
+    @cached_property
+    def noise(self) -> "DepthNoise":
+        """The noise of its depth within the mask, as the image itself shows it; InputError as above."""
+        return depth_noise(self.valid_depth())
 
     @cached_property
     def _whole(self) -> NDArray[np.float32]:
@@ -96,7 +107,7 @@ def query_cloud(query: Query, *, device: Device, most: int = MOST_POINTS) -> Que
     z = depth[v, u].astype(np.float64)
     camera = query.camera
     points = np.stack([(u - camera.cx) / camera.fx * z, (v - camera.cy) / camera.fy * z, z], axis=-1)
-    sigmas = depth_noise(depth)(z)
+    sigmas = query.noise(z)
     return QueryCloud(
         points=wp.array(points.astype(np.float32), dtype=wp.vec3, device=device),
         sigmas=wp.array(sigmas.astype(np.float32), dtype=float, device=device),
