@@ -1,6 +1,6 @@
 """Marching cubes against dual contouring on recordings with a true mesh: for ``surfaces.py scenes``.
 
-Each scene is fused at several voxel sizes, and each volume meshed in three ways. *topology*: whether a mesh is
+Each scene is fused at several voxel sizes, and each volume meshed in several ways. *topology*: whether a mesh is
 manifold, how many pairs of its triangles meet, and of the vertices on its border how many lie where the observed region
 ends: with an unseen voxel at most one cell further. *errors*: mean distances, in voxels, of the mesh from the truth,
 where that is smooth and where it is sharp, and of the truth that was seen from the mesh. *time*: the least processor
@@ -33,7 +33,7 @@ SAMPLES = 100_000
 NEAR, FAR = 0.5, 2.0
 """Voxels from a sharp edge of the truth up to which a point is on it, and from which on the truth is smooth."""
 
-REPEATS = {"marching cubes": 9, "dual, volume": 9, "dual, depth": 3}
+REPEATS = {"marching cubes": 9, "dual, volume": 9, "dual, depth": 3, "dual, depth, merged": 2}
 
 
 @dataclass
@@ -129,6 +129,9 @@ def measure_scene(dataset, options, device, print_row):
             "marching cubes": lambda volume=volume: marching_cubes(volume),
             "dual, volume": lambda volume=volume: dual_contouring(volume),
             "dual, depth": lambda volume=volume, oracle=oracle: dual_contouring(volume, oracle=oracle),
+            "dual, depth, merged": lambda volume=volume, oracle=oracle: dual_contouring(
+                volume, oracle=oracle, flatness=options.flatness
+            ),
         }
         for name, way in ways.items():
             mesh = way()

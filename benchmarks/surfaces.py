@@ -7,7 +7,8 @@
     python benchmarks/surfaces.py vertices --datasets table --every 10 --voxel-sizes 0.010 0.014 0.020
 
 *topology*: random solids in closed form, each meshed by the volume alone and by the solid as an oracle: how many are
-closed and manifold, and how many pairs of triangles meet (exactly, CGAL through libigl). *edges*: a cube, an L and a
+closed and manifold, and how many pairs of triangles meet (exactly, CGAL through libigl); with cells merged, too, within
+``--flatness`` voxels (*merged* in all tables). *edges*: a cube, an L and a
 solid of parts, seen by 60 exact depth images; the mean distance from the true surface of what lies within half a voxel
 of a true edge, and beyond two voxels. *order*: how vertices converge on a smooth field. *table*: the scene of
 ``accuracy.py`` over voxel sizes, for the vertices that an error takes. *time*: CPU and wall seconds of meshing it.
@@ -161,10 +162,13 @@ def measure_edges(device, options):
             meshes = {
                 "marching cubes": marching_cubes(volume),
                 "dual, volume": dual_contouring(volume),
-                "dual, depth": dual_contouring(volume, oracle=depth_oracle(volume, scene)),
             }
+            oracles = {"depth": depth_oracle(volume, scene)}
             if name != "ball":
-                meshes["dual, solid"] = dual_contouring(volume, oracle=solid.oracle(voxel_size, device))
+                oracles["solid"] = solid.oracle(voxel_size, device)
+            for asked, oracle in oracles.items():
+                meshes[f"dual, {asked}"] = dual_contouring(volume, oracle=oracle)
+                meshes[f"dual, {asked}, merged"] = dual_contouring(volume, oracle=oracle, flatness=options.flatness)
             for mesher, mesh in meshes.items():
                 points = sample_surface(mesh, 60_000, rng=np.random.default_rng(1)).points
                 away = np.abs(solid(points)) / voxel_size
@@ -184,13 +188,15 @@ def measure_edges(device, options):
 
 def measure_topology(device, options):
     voxel_size = 0.07
-    counts = {"volume": np.zeros(4, int), "solid": np.zeros(4, int)}
+    counts = {name: np.zeros(4, int) for name in ("volume", "volume, merged", "solid", "solid, merged")}
     for seed in range(options.solids):
         solid = random_solid(np.random.default_rng(seed))
         volume = solid.volume(voxel_size, device)
         for name, oracle in (("volume", None), ("solid", solid.oracle(voxel_size, device))):
-            mesh = dual_contouring(volume, oracle=oracle)
-            counts[name] += [len(mesh.triangles) > 0, is_closed(mesh), is_manifold(mesh), self_intersections(mesh)]
+            for merged, flatness in (("", 0.0), (", merged", options.flatness)):
+                mesh = dual_contouring(volume, oracle=oracle, flatness=flatness)
+                found = [len(mesh.triangles) > 0, is_closed(mesh), is_manifold(mesh), self_intersections(mesh)]
+                counts[name + merged] += found
     print_row("oracle", "solids", "with surface", "closed", "manifold", "pairs of triangles that meet")
     for name, found in counts.items():
         print_row(name, str(options.solids), *map(str, found))
@@ -202,10 +208,12 @@ def measure_table(device, options):
     print_row("voxel (mm)", "mesher", "vertices", "chamfer (mm)", "accuracy (mm)", "completeness (mm)", "normals")
     for voxel_size in options.voxel_sizes:
         volume, _ = accuracy.fuse(scene, voxel_size, options, EXACT)
+        oracle = depth_oracle(volume, scene)
         meshes = {
             "marching cubes": marching_cubes(volume),
             "dual, volume": dual_contouring(volume),
-            "dual, depth": dual_contouring(volume, oracle=depth_oracle(volume, scene)),
+            "dual, depth": dual_contouring(volume, oracle=oracle),
+            "dual, depth, merged": dual_contouring(volume, oracle=oracle, flatness=options.flatness),
         }
         for mesher, mesh in meshes.items():
             found = accuracy.measure(mesh, scene, voxel_size)
@@ -221,14 +229,16 @@ def measure_time(device, options):
     ways = {
         "marching cubes": lambda: marching_cubes(volume),
         "dual, volume": lambda: dual_contouring(volume),
+        "dual, volume, merged": lambda: dual_contouring(volume, flatness=options.flatness),
         "keeping depth images": lambda: depth_oracle(volume, scene),
         "dual, depth": lambda: dual_contouring(volume, oracle=oracle),
+        "dual, depth, merged": lambda: dual_contouring(volume, oracle=oracle, flatness=options.flatness),
     }
     print_row("way", "CPU seconds", "wall seconds")
     for name, way in ways.items():
         way()
         times = []
-        for _ in range(3 if "depth" in name else 15):
+        for _ in range(3 if "depth" in name or "merged" in name else 15):
             cpu, wall = time.process_time(), time.perf_counter()
             way()
             wp.synchronize_device(device)
@@ -288,6 +298,7 @@ def main():
     parser.add_argument(
         "--factors", type=float, nargs="+", default=[1, 2, 4], help="of the voxel that the data suggest"
     )
+    parser.add_argument("--flatness", type=float, default=0.05, metavar="VOXELS", help="within which cells are merged")
     parser.add_argument("--device", default="auto")
     options = parser.parse_args()
     device = resolve_device(options.device)

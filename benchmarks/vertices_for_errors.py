@@ -1,7 +1,7 @@
 """How many vertices an error takes, with marching cubes and with dual contouring: for ``surfaces.py vertices``.
 
-A recording with a true mesh is fused at several voxel sizes, each volume is meshed in three ways, and the meshes of the
-smallest voxels are decimated to parts of their triangles, as ``fusion mesh --triangles`` does. Errors are mean
+A recording with a true mesh is fused at several voxel sizes, each volume is meshed in several ways, and the meshes of
+the smallest voxels are decimated to parts of their triangles, as ``fusion mesh --triangles`` does. Errors are mean
 distances in millimetres: of the mesh from the truth, of what frames saw of the truth from the mesh, and their mean, the
 chamfer distance; of the truth's sharp edges that frames saw from the mesh, and of the mesh from the truth where that is
 smooth, beyond two of the smallest voxels from an edge.
@@ -28,6 +28,7 @@ from fusion.surface.mesh import Mesh
 from fusion.surface.mesh_operations import decimate
 
 CUBES = "marching cubes"
+MERGED = "dual, depth, merged"
 SHARES = (1.0, 0.5, 0.25, 0.125, 0.0625)
 """Of the triangles, that decimation leaves."""
 ERRORS = ("mesh to truth", "truth to mesh", "chamfer", "sharp", "smooth")
@@ -48,7 +49,7 @@ def errors(mesh, truth, edges, voxel_size, device):
     return {name: 1000 * error for name, error in zip(ERRORS, found, strict=True) if error is not None}
 
 
-def meshes_of(dataset, every, voxel_size, device):
+def meshes_of(dataset, every, voxel_size, flatness, device):
     """Return a recording's meshes by mesher, from one volume, and the frames that it was fused of."""
     config = ReconstructionConfig(frames=f"::{every}", device=str(device.alias), voxel_size=voxel_size)
     with tempfile.TemporaryDirectory() as folder:
@@ -59,6 +60,7 @@ def meshes_of(dataset, every, voxel_size, device):
         CUBES: marching_cubes(made.volume),
         "dual, volume": dual_contouring(made.volume),
         "dual, depth": dual_contouring(made.volume, oracle=oracle),
+        MERGED: dual_contouring(made.volume, oracle=oracle, flatness=flatness),
     }
 
 
@@ -70,8 +72,8 @@ def measure_recording(dataset, options, device, print_row):
     edges = seen_sharp_edges(truth.mesh, spacing=0.25 * sizes[0], observed_by=observers, device=device)
     coarser, decimated = {}, {}
     for voxel_size in sizes:
-        for mesher, mesh in meshes_of(dataset, options.every, voxel_size, device).items():
-            for share in SHARES if voxel_size == sizes[0] else (1.0,):
+        for mesher, mesh in meshes_of(dataset, options.every, voxel_size, options.flatness, device).items():
+            for share in SHARES if voxel_size == sizes[0] and mesher != MERGED else (1.0,):
                 # Without colours, which take longer than decimation itself.
                 shape = Mesh(vertices=mesh.vertices, triangles=mesh.triangles)
                 kept = mesh if share == 1 else decimate(shape, round(share * len(mesh.triangles)), device=device)
@@ -131,5 +133,5 @@ def _alternatives(coarser, decimated, *, with_decimated):
     for mesher in coarser:
         if mesher != CUBES:
             yield mesher, "coarser voxels", coarser[mesher]
-        if with_decimated:
+        if with_decimated and mesher != MERGED:
             yield mesher, "decimated", decimated[mesher]

@@ -9,6 +9,7 @@ from rich.table import Table
 
 from datagen.commands.arguments import add_frames, add_json, positive
 from datagen.commands.job_options import add_job_options, reporting
+from datagen.errors import InputError
 from datagen.open_dataset import open_dataset
 from fusion.commands.arguments import (
     add_dataset,
@@ -117,6 +118,10 @@ def _add_meshing(command: argparse.ArgumentParser) -> None:
 
 
 def _run(options: argparse.Namespace) -> None:
+    if options.flatness and options.mesher == "marching-cubes":
+        raise InputError(
+            f"--flatness {options.flatness:g}: marching cubes merges no cells; add --mesher dual-contouring"
+        )
     config = ReconstructionConfig(
         voxel_size=options.voxel_size,
         truncation=options.truncation,

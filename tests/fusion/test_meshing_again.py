@@ -15,6 +15,7 @@ WAYS = {
     "cubes": ["--mesher", "marching-cubes"],
     "volume": ["--mesher", "dual-contouring", "--oracle", "volume"],
     "depth": ["--mesher", "dual-contouring", "--oracle", "depth"],
+    "merged": ["--mesher", "dual-contouring", "--oracle", "depth", "--flatness", "0.1"],
 }
 EVERYWHERE = ["--low", "_", "_", "_"]
 
@@ -127,6 +128,23 @@ def test_parts_meshed_differently_are_refused_unless_it_is_said_how(base, tmp_pa
     refused(capsys, message, "merge", tmp_path / "even", tmp_path / "odd", out)
     assert not out.exists()
     assert run("merge", tmp_path / "even", tmp_path / "odd", out, *WAYS["volume"]) == 0
+
+
+def test_cells_are_merged_as_they_were_or_as_is_said(base, tmp_path, capsys):
+    few, many = (len(mesh_in(base / way / "mesh.ply")[0]) for way in ("merged", "depth"))
+    assert few < 0.8 * many
+    assert run("export", base / "merged", tmp_path / "mesh.ply", "--flatness", "0") == 0
+    assert_same(mesh_in(tmp_path / "mesh.ply"), mesh_in(base / "depth" / "mesh.ply"))
+    for name, frames, way in (("even", "0::2", "merged"), ("odd", "1::2", "depth")):
+        arguments = ["--voxel-size", VOXEL_SIZE, "--frames", frames, *WAYS[way]]
+        assert run("reconstruct", base / "data", tmp_path / name, *arguments) == 0
+    message = "meshed with --flatness 0.0, and"
+    refused(capsys, message, "merge", tmp_path / "even", tmp_path / "odd", tmp_path / "both")
+    assert run("merge", tmp_path / "even", tmp_path / "odd", tmp_path / "both", "--flatness", "0.1") == 0
+    assert json.loads((tmp_path / "both" / "reconstruction.json").read_text())["config"]["flatness"] == 0.1
+    refused(capsys, "--flatness", "export", base / "depth", tmp_path / "mesh.ply", "--flatness", "-1")
+    cubes = [*WAYS["cubes"], "--flatness", "0.1"]
+    refused(capsys, "add --mesher dual-contouring", "reconstruct", base / "data", tmp_path / "cubes", *cubes)
 
 
 def test_a_record_that_says_nonsense_is_named(base, tmp_path, capsys):
