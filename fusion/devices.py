@@ -1,6 +1,7 @@
 """Where kernels run: the CPU, on all of its cores, or a CUDA device."""
 
 import os
+import tempfile
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
@@ -18,6 +19,9 @@ Device: TypeAlias = Any
 
 _Item = TypeVar("_Item")
 
+_STDERR = 2
+_NO_DRIVER = b"Could not find or load the NVIDIA CUDA driver"
+
 Kernel: TypeAlias = Any
 """A Warp kernel."""
 
@@ -27,8 +31,7 @@ def resolve_device(name: str) -> Device:
 
     Raises InputError where the named device is not there: nothing ever falls back silently.
     """
-    wp.config.log_level = wp.LOG_ERROR  # its banner would land on standard output
-    wp.init()
+    _start_warp()
     cuda = [str(device.alias) for device in wp.get_cuda_devices()]
     if name == "auto":
         return wp.get_device(cuda[0] if cuda else "cpu")
@@ -40,9 +43,24 @@ def resolve_device(name: str) -> Device:
 
 def available_devices() -> list[str]:
     """Return the names of the devices that there are, ``cpu`` first."""
-    wp.config.log_level = wp.LOG_ERROR
-    wp.init()
+    _start_warp()
     return ["cpu", *(str(device.alias) for device in wp.get_cuda_devices())]
+
+
+@cache
+def _start_warp() -> None:
+    """Start Warp without its banner, and without its word that there is no GPU, which no setting of it keeps back."""
+    wp.config.log_level = wp.LOG_ERROR  # the banner would land on standard output
+    with tempfile.TemporaryFile() as kept:
+        errors = os.dup(_STDERR)
+        os.dup2(kept.fileno(), _STDERR)
+        try:
+            wp.init()
+        finally:
+            os.dup2(errors, _STDERR)
+            os.close(errors)
+            kept.seek(0)
+            os.write(_STDERR, b"".join(line for line in kept if _NO_DRIVER not in line))
 
 
 def free_memory(device: Device) -> int:

@@ -1,3 +1,6 @@
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 import warp as wp
@@ -35,3 +38,15 @@ def test_a_step_follows_on_what_its_own_index_was_given(device, dim):
     then = Step(kernel=_repeat, inputs=[3, single], outputs=[repeated], threads=3)
     launch_in_slabs(_add_own_index, dim=dim, inputs=[start], outputs=[single], device=device, then=then)
     np.testing.assert_array_equal(repeated.numpy().reshape(dim, 3), 10 * np.arange(dim)[:, None] + np.arange(3))
+
+
+def test_starting_says_nothing_and_keeps_what_others_say():
+    script = """
+import os
+from fusion.devices import resolve_device
+resolve_device("auto")
+os.write(2, b"said afterwards")
+"""
+    result = subprocess.run([sys.executable, "-c", script], capture_output=True, check=True)
+    assert result.stdout == b""
+    assert result.stderr == b"said afterwards"
