@@ -6,9 +6,9 @@
 
 Models, queries, starts, noise and errors are those of ``fusion pose-benchmark``, whose folder OUT is: what it fused is
 not fused again. Every contender gets the same task. The peers get the model's vertices with their normals and colours
-and as many of the query's points as we take ourselves, within the mask if there is one, at two widths of
-correspondence as their tutorials do, wide and then narrow. Where the protocol has no start of its own but what our
-search for the nearest pose finds, all start there.
+and as many of the query's points as we take ourselves, or ``--points`` of them, within the mask if there is one, at two
+widths of correspondence as their tutorials do, wide and then narrow. Where the protocol has no start of its own but
+what our search for the nearest pose finds, all start there.
 
 Times are processor time over the cores that ``--cores`` says share it, so that a busy machine does not count twice;
 "wall" is the clock's. Preparing the model, once, is in neither.
@@ -31,7 +31,7 @@ from datagen.frame_selection import select_frames
 from datagen.open_dataset import open_dataset
 from fusion.devices import resolve_device
 from fusion.evaluation.pose_errors import recall, within
-from fusion.pose.depth_refinement import DepthRefinementOptions, refine_with_depth
+from fusion.pose.depth_refinement import DepthRefinementOptions, refine_with_depth, telling_points
 from fusion.pose.query import query_cloud
 from fusion.pose.stages import refine
 from fusion.pose_benchmark.protocol import parse_trials, trials_for
@@ -39,9 +39,6 @@ from fusion.pose_benchmark.run_case import pose_errors
 from fusion.pose_benchmark.scanned_subject import scanned_subject
 from fusion.pose_benchmark.tasks import Case, make_task, timed
 from fusion.pose_benchmark.ycb_video import is_ycb_video, ycb_video_subjects
-
-PEER_POINTS = 8000
-
 
 # --- contenders: each takes the model and gives a function from a task to world_from_camera ---------------------------
 
@@ -59,9 +56,10 @@ def scanback_one_start(model, _options):
     return lambda task: refine_with_depth(model, task.query, task.start, options=options).world_from_camera
 
 
-def _points(model, task):
+def _points(model, task, options):
     """Return as many of the query's points as we take ourselves, with their colours, in the camera's frame."""
-    cloud = query_cloud(task.query, device=model.device, most=PEER_POINTS).points_camera
+    most = options.points or telling_points(model, task.query)
+    cloud = query_cloud(task.query, device=model.device, most=most).points_camera
     pixels = np.rint(task.query.camera.project(cloud)).astype(int)
     return cloud, task.query.color[pixels[:, 1], pixels[:, 0]] / 255
 
@@ -70,7 +68,7 @@ def _widths(model):
     return 0.1 * model.diameter if model.diameter < 2 else 0.15, 3 * model.voxel_size
 
 
-def open3d_icp(model, _options, *, colored=False):
+def open3d_icp(model, options, *, colored=False):
     import open3d as o3d
 
     registration = o3d.pipelines.registration
@@ -79,7 +77,7 @@ def open3d_icp(model, _options, *, colored=False):
     target.colors = o3d.utility.Vector3dVector(model.mesh.colors / 255.0)
 
     def locate(task):
-        points, colors = _points(model, task)
+        points, colors = _points(model, task, options)
         source = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
         source.colors = o3d.utility.Vector3dVector(colors)
         pose = task.start
@@ -115,7 +113,7 @@ def small_gicp(model, options, *, kind="PLANE_ICP"):
     )
 
     def locate(task):
-        points, _colors = _points(model, task)
+        points, _colors = _points(model, task, options)
         source, _tree = peer.preprocess_points(points, downsampling_resolution=1e-4, num_threads=threads)
         pose = task.start
         for width in _widths(model):
@@ -262,6 +260,9 @@ def main():
     parser.add_argument("--fuse", metavar="SLICE")
     parser.add_argument("--voxel-size", type=float, metavar="M")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument(
+        "--points", type=int, metavar="N", help="of a query, for the peers; as many as we take by default"
+    )
     parser.add_argument("--cores", type=int, default=2)
     parser.add_argument("--no-peers", action="store_true")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the numbers there too")

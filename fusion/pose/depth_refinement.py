@@ -83,7 +83,7 @@ def _refined(
 ) -> Refinement:
     """Refine a pose by depth alone."""
     start = rigid(world_from_camera, source="start of the refinement")
-    cloud = query_cloud(query, device=model.device, most=_telling_points(model, query, options))
+    cloud = query_cloud(query, device=model.device, most=telling_points(model, query, most=options.most_points))
     if cloud.count < FEWEST_POINTS:
         where = "the mask" if query.mask is not None else "the image"
         reason = f"{cloud.count} pixels of {where} have a depth, fewer than the {FEWEST_POINTS} that fix a pose"
@@ -93,15 +93,17 @@ def _refined(
     return _result(problem, finest(problem, found), start)
 
 
-def _telling_points(model: PoseModel, query: Query, options: DepthRefinementOptions) -> int:
-    """Return how many points tell the pose: as noise makes a pose off by σ/√n, as many times more as σ² is the model's.
+def telling_points(model: PoseModel, query: Query, *, most: int = 4 * MOST_POINTS) -> int:
+    """Return how many of a query's points tell its pose, at most ``most``.
 
-    What a model is itself off by is alike in points next to each other, and more of them tell nothing new.
+    Noise makes a pose off by σ/√n, so that they are as many times more as σ² is times the model's. What a model is
+    itself off by is alike in points next to each other, and more of them tell nothing new. Raises InputError for a
+    query without depth.
     """
     depth = query.valid_depth()[::_STEP_PX, ::_STEP_PX]
     seen = depth[depth > 0]
     noise = float(query.noise(np.median(seen))) if len(seen) else 0.0
-    return int(np.clip(MOST_POINTS * (noise / model_noise(model)) ** 2, MOST_POINTS, options.most_points))
+    return int(np.clip(MOST_POINTS * (noise / model_noise(model)) ** 2, min(MOST_POINTS, most), most))
 
 
 def _searched(

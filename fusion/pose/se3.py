@@ -8,8 +8,6 @@ robotics" (2018), appendix D.
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.rigid import Matrix
-
 _SERIES_BELOW = 1e-2
 """Angle, radians, below which the quotients of sines and cosines are taken from their series: 0/0 loses digits."""
 
@@ -82,14 +80,6 @@ def log_se3(transforms: NDArray[np.floating]) -> NDArray[np.float64]:
     k = skew(omega)
     v = np.linalg.solve(np.eye(3) + second * k + third * (k @ k), t[..., :3, 3:])[..., 0]
     return np.concatenate([v, omega], axis=-1)
-
-
-def adjoint(transform: Matrix) -> NDArray[np.float64]:
-    """Return the 6×6 matrix A with T exp(ξ) T⁻¹ = exp(A ξ), for a rigid transform T."""
-    result = np.zeros((6, 6))
-    result[:3, :3] = result[3:, 3:] = transform[:3, :3]
-    result[:3, 3:] = skew(transform[:3, 3]) @ transform[:3, :3]
-    return result
 
 
 def perturb(

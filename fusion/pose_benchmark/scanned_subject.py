@@ -18,6 +18,7 @@ from datagen.rigid import Matrix, rigid
 from fusion.devices import Device
 from fusion.evaluation.pose_errors import ModelPoints
 from fusion.evaluation.symmetries import symmetry_transforms
+from fusion.frames.survey import combine, load, survey_frame
 from fusion.pose.pose_model import PoseModel, prepare_model
 from fusion.pose.reference_frame import ReferenceFrame
 from fusion.pose.view_index import index_views
@@ -25,7 +26,7 @@ from fusion.pose_benchmark.object_box import ObjectBox
 from fusion.pose_benchmark.subjects import Fused, Kind, Subject
 from fusion.pose_benchmark.views import View
 from fusion.reconstruct import reconstruct
-from fusion.reconstruction_config import ReconstructionConfig
+from fusion.reconstruction_config import FOOTPRINTS_PER_VOXEL, ReconstructionConfig
 from fusion.reconstruction_files import (
     MESH_FILE,
     RECORD_FILE,
@@ -40,6 +41,11 @@ from fusion.surface.mesh_files import read_mesh
 from fusion.volume.volume_file import load_volume
 from fusion.volume.volume_operations import crop
 
+VOXELS_PER_EXTENT = 1024
+"""Twice as many as a reconstruction has for show: what views are located in is neither looked at nor sent to anybody,
+and a surface's voxels, in a band about it, grow with the square of this alone."""
+_SURVEYED = 32
+"""Frames that tell the lengths, evenly chosen."""
 OBJECT_HOLDS_OUT = "2::5"
 ROOM_FUSES = "::10"
 MODEL_POINTS = 5000
@@ -63,15 +69,17 @@ def scanned_subject(
 ) -> Subject:
     """Fuse some of a dataset's frames into ``folder``, or read what lies there of them, and hold out the others.
 
-    ``fuse`` is START:STOP:STEP; without it all frames but every fifth of an object, every tenth of a room. What lies in
-    a ``box`` is the object: the model is cropped to it, and a view's mask is what its true pose and depth show of it.
-    Raises InputError where no frame is left to locate, and for everything that a reconstruction refuses.
+    ``fuse`` is START:STOP:STEP; without it all frames but every fifth of an object, every tenth of a room. Without a
+    ``voxel_size`` it is that of ``locating_voxel_size``. What lies in a ``box`` is the object: the model is cropped to
+    it, and a view's mask is what its true pose and depth show of it. Raises InputError where no frame is left to
+    locate, and for everything that a reconstruction refuses.
     """
     fused_frames = _fused_frames(dataset, kind, fuse)
     held_out = tuple(i for i in dataset.frame_ids if i not in set(fused_frames))
     if not held_out:
         raise InputError(f"{dataset.folder}: all of its frames are fused, none is left to locate; fuse fewer")
     dataset.require(dataset.frame_ids)
+    voxel_size = voxel_size or locating_voxel_size(dataset, fused_frames)
     record = _reconstruction(dataset, folder, fused_frames, voxel_size, device, progress)
     volume = load_volume(folder / VOLUME_FILE, device=device)
     model = prepare_model(volume if box is None else crop(volume, box.low, box.high))
@@ -89,6 +97,31 @@ def scanned_subject(
     )
 
 
+def locating_voxel_size(dataset: Dataset, frames: Sequence[int]) -> float:
+    """Return the voxels, metres, with which frames are fused so that others can be located as exactly as these tell.
+
+    They are two of a pixel's footprints wide, as where a reconstruction's are left to the data: a coarser model knows
+    less than its frames do. But no less than a 1024th of the extent, where a reconstruction stops at a 512th; two
+    digits. Raises InputError where no frame has a valid depth.
+    """
+    load()
+    some = {frames[i] for i in np.linspace(0, len(frames) - 1, _SURVEYED).round().astype(int)}
+    scene = combine(
+        [
+            survey_frame(
+                dataset.camera,
+                dataset.depth_steps(i),
+                dataset.world_from_camera(i),
+                depth_scale=dataset.depth_scale,
+            )
+            for i in sorted(some)
+        ],
+        dataset.camera,
+    )
+    size = max(FOOTPRINTS_PER_VOXEL * scene.pixel_footprint, scene.typical_extent / VOXELS_PER_EXTENT)
+    return float(f"{size:.2g}")
+
+
 def _fused_frames(dataset: Dataset, kind: Kind, fuse: str | None) -> tuple[int, ...]:
     if fuse is not None or kind == "room":
         return select_frames(dataset.frame_ids, fuse or ROOM_FUSES)
@@ -100,7 +133,7 @@ def _reconstruction(
     dataset: Dataset,
     folder: Path,
     frames: tuple[int, ...],
-    voxel_size: float | None,
+    voxel_size: float,
     device: Device,
     progress: ProgressReporter,
 ) -> ReconstructionRecord:

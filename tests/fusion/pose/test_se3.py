@@ -4,7 +4,7 @@ from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from datagen.rigid import inverse, look_at, transform_points
-from fusion.pose.se3 import adjoint, exp_se3, log_se3, log_so3, perturb, skew
+from fusion.pose.se3 import exp_se3, log_se3, log_so3, perturb, skew
 
 RNG = np.random.default_rng(7)
 ANGLES = [0.0, 1e-9, 1e-5, 9.9e-3, 1.01e-2, 0.3, 2.0, np.pi - 1e-3, np.pi - 1e-7]
@@ -51,12 +51,6 @@ def test_motions_of_one_screw_add_up():
     twist = twist_of(0.7)
     np.testing.assert_allclose(exp_se3(0.4 * twist) @ exp_se3(1.1 * twist), exp_se3(1.5 * twist), atol=1e-13)
     np.testing.assert_allclose(exp_se3(-twist), inverse(exp_se3(twist)), atol=1e-13)
-
-
-def test_the_adjoint_carries_a_perturbation_across():
-    transform, twist = exp_se3(twist_of(1.2)), twist_of(0.4)
-    carried = exp_se3(adjoint(transform) @ twist)
-    np.testing.assert_allclose(transform @ exp_se3(twist), carried @ transform, atol=1e-12)
 
 
 def test_a_perturbation_turns_about_its_pivot_and_moves_points_as_its_jacobian_says():
