@@ -10,6 +10,7 @@ from typing import Any, TypeAlias, TypeVar
 
 import psutil
 import warp as wp
+from warp.utils import array_scan
 
 from datagen.errors import InputError
 from datagen.progress import ProgressReporter, silent
@@ -80,6 +81,13 @@ def load_kernels(
     for module in loaded:
         wp.load_module(module, device=device)
         advance()
+
+
+def sum_before(counts: wp.array) -> None:
+    """Replace each number of an array of int32, or of vectors of them, by the sum of those before it."""
+    # Warp scans on whatever device is current, which need not be the array's where there are several.
+    with wp.ScopedDevice(counts.device):
+        array_scan(counts, counts, inclusive=False)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
-from warp.utils import array_scan
 
 from datagen.errors import InputError
+from fusion.devices import sum_before
 from fusion.surface.layers import (
     NONE,
     Cells,
@@ -292,4 +292,4 @@ def find_crossings(cells: Cells, triangle_counts: wp.array) -> None:
     launch_over_layers(_find_active_cells, dim=layers, inputs=[], outputs=[cells], device=device)
     launch_over_layers(_find_edges, dim=layers, inputs=[triangle_counts], outputs=[cells], device=device)
     cells.starts[layers:].zero_()
-    array_scan(cells.starts, cells.starts, inclusive=False)
+    sum_before(cells.starts)

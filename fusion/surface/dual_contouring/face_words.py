@@ -4,8 +4,8 @@ The surface makes a curve through a crossed face, and two through an *ambiguous*
 """
 
 import warp as wp
-from warp.utils import array_scan
 
+from fusion.devices import sum_before
 from fusion.surface.dual_contouring.dual_grid import DualGrid
 from fusion.surface.dual_contouring.several_loops import crossed_twice
 from fusion.surface.layers import NONE, corners_back, corners_on, launch_over_layers, word_at
@@ -66,7 +66,7 @@ def find_curves(grid: DualGrid) -> int:
     """Find the curves through faces (``faces``, ``ambiguous``, ``curve_starts``) and return how many there are."""
     device, layers = grid.faces.device, len(grid.faces)
     launch_over_layers(_find_curves, dim=layers, inputs=[], outputs=[grid], device=device)
-    array_scan(grid.curve_starts, grid.curve_starts, inclusive=False)
+    sum_before(grid.curve_starts)
     return int(grid.curve_starts[layers:].numpy()[0])
 
 

@@ -1,8 +1,8 @@
 """Finding what dual contouring numbers, a layer of voxels at a time."""
 
 import warp as wp
-from warp.utils import array_scan
 
+from fusion.devices import sum_before
 from fusion.surface.cells import find_cells
 from fusion.surface.dual_contouring.cell_table import CellTables, cell_tables
 from fusion.surface.dual_contouring.dual_grid import Counts, DualGrid
@@ -59,7 +59,7 @@ def find_grid(
     grid = _empty_grid(cells, answers)
     grid.inset = inset_for(volume)
     launch_over_layers(_find_complete, dim=layers, inputs=[], outputs=[grid], device=device)
-    array_scan(grid.quad_starts, grid.quad_starts, inclusive=False)
+    sum_before(grid.quad_starts)
     vertices = _find_vertices(grid, cell_tables(str(device.alias)))
     return grid, Counts(
         edges=int(cells.starts[layers:].numpy()[0][0]),
@@ -74,7 +74,7 @@ def _find_vertices(grid: DualGrid, tables: CellTables) -> int:
     """Find which cells have several loops and where vertices' numbers start, and return how many vertices there are."""
     device, layers = grid.several.device, len(grid.several)
     launch_over_layers(find_several_loops, dim=layers, inputs=[tables], outputs=[grid], device=device)
-    array_scan(grid.vertex_starts, grid.vertex_starts, inclusive=False)
+    sum_before(grid.vertex_starts)
     vertices, several = (int(total) for total in grid.vertex_starts[layers:].numpy()[0])
     grid.codes = wp.empty(several, dtype=wp.uint64, device=device)
     grid.more = wp.empty(several, dtype=int, device=device)

@@ -14,9 +14,8 @@ An oracle may tell of a bend in between: then the curve is pinned at its 2-D poi
 """
 
 import warp as wp
-from warp.utils import array_scan
 
-from fusion.devices import launch_in_slabs
+from fusion.devices import launch_in_slabs, sum_before
 from fusion.surface.dual_contouring.dual_grid import DualGrid, curve_number, pin_number, place_of, vertex_of_edge
 from fusion.surface.dual_contouring.face_words import (
     delicate_curves,
@@ -245,7 +244,7 @@ def place_pins(
         curve_points = wp.empty(0, dtype=wp.vec4, device=device)
     inputs = [grid, places, along, curve_points]
     launch_over_layers(_choose_pins, dim=layers, inputs=inputs, outputs=[], device=device)
-    array_scan(grid.pin_starts, grid.pin_starts, inclusive=False)
+    sum_before(grid.pin_starts)
     count = int(grid.pin_starts[layers:].numpy()[0])
     pins = room.take(count)
     launch_in_slabs(

@@ -6,9 +6,8 @@
 from dataclasses import dataclass
 
 import warp as wp
-from warp.utils import array_scan
 
-from fusion.devices import launch_in_slabs
+from fusion.devices import launch_in_slabs, sum_before
 from fusion.surface.dual_contouring.dual_grid import DualGrid, complete_along
 from fusion.surface.dual_contouring.layer_quads import split_layer
 from fusion.surface.dual_contouring.quad_pins import has_pins, pins_around
@@ -246,7 +245,7 @@ def cut_quads(
     device, layers = volume.device, len(grid.several)
     # By layer how many triangles and fans come before.
     starts = cuts.starts
-    array_scan(starts, starts, inclusive=False)
+    sum_before(starts)
     triangle_total, fan_total = (int(total) for total in starts[layers:].numpy()[0])
     triangles = wp.empty((triangle_total + more, 3), dtype=int, device=device)
     quads = [grid, cuts.corners, cuts.splits, starts]

@@ -10,8 +10,8 @@ back along the second axis (the next after the edge's), 2 and 3 along the third.
 """
 
 import warp as wp
-from warp.utils import array_scan
 
+from fusion.devices import sum_before
 from fusion.surface.dual_contouring.dual_grid import DualGrid, complete_along, place_of, vertex_of_edge
 from fusion.surface.layers import NONE, below, corners_back, launch_over_layers, step_along
 
@@ -63,7 +63,7 @@ def find_rim(grid: DualGrid) -> int:
     """Find the rim's vertices (``grid.parted``, ``rim_starts``) and return how many there are."""
     layers = len(grid.several)
     launch_over_layers(_find_rim, dim=layers, inputs=[], outputs=[grid], device=grid.several.device)
-    array_scan(grid.rim_starts, grid.rim_starts, inclusive=False)
+    sum_before(grid.rim_starts)
     return int(grid.rim_starts[layers:].numpy()[0])
 
 

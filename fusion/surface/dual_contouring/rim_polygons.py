@@ -10,9 +10,8 @@ All of this is within the cells' hulls and the envelopes of ``quad_split``, so t
 """
 
 import warp as wp
-from warp.utils import array_scan
 
-from fusion.devices import launch_in_slabs
+from fusion.devices import launch_in_slabs, sum_before
 from fusion.surface.dual_contouring.dual_grid import DualGrid, place_of
 from fusion.surface.dual_contouring.faces import curve_edges, curve_from, face_u, face_v, pattern_of
 from fusion.surface.dual_contouring.quad_pins import has_pins, pins_around
@@ -225,7 +224,7 @@ def count_rim_triangles(grid: DualGrid, rim: int) -> tuple[wp.array, int]:
     if not rim:
         return starts, 0
     launch_over_layers(_count_triangles, dim=layers, inputs=[grid], outputs=[starts], device=device)
-    array_scan(starts, starts, inclusive=False)
+    sum_before(starts)
     return starts, int(starts[layers:].numpy()[0])
 
 
