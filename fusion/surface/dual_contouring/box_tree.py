@@ -19,7 +19,7 @@ from fusion.surface.dual_contouring.boxes import (
 from fusion.surface.dual_contouring.dual_grid import DualGrid, first_vertex
 from fusion.surface.dual_contouring.merge_boxes import merge_boxes
 from fusion.surface.dual_contouring.tame_cells import CellWords, find_tame_cells
-from fusion.surface.dual_contouring.vertices import Vertices, as_bytes
+from fusion.surface.dual_contouring.vertices import VertexArrays, Vertices, as_bytes
 from fusion.surface.layers import NONE, launch_over_layers, lowest_bit, number_of
 from fusion.volume.tsdf_volume import Volume
 
@@ -74,9 +74,7 @@ def _write_vertices(
     blocks: wp.array(dtype=wp.vec3i),
     voxel_size: float,
     boxes: Boxes,
-    colors: wp.array(dtype=wp.vec3ub),
-    normals: wp.array(dtype=wp.vec3),
-    points: wp.array(dtype=wp.vec3),
+    cells: VertexArrays,
 ) -> None:
     number = wp.tid() + first
     slot = number // _BOXES
@@ -94,15 +92,15 @@ def _write_vertices(
         left = grid.cells.active[layer] & word
         while left != NONE:
             vertex = first_vertex(grid, layer, lowest_bit(left))
-            some = colors[vertex]
+            some = cells.colors[vertex]
             color += wp.vec4(float(some[0]), float(some[1]), float(some[2]), 1.0)
-            normal += normals[vertex]
+            normal += cells.normals[vertex]
             left = left & (left - wp.uint64(1))
     lattice = 8 * blocks[number_of(grid.cells, slot)] + corner
     place = wp.vec3(float(lattice[0]), float(lattice[1]), float(lattice[2])) + boxes.places[number]
-    points[boxes.first[number]] = voxel_size * place
-    colors[boxes.first[number]] = as_bytes(color)
-    normals[boxes.first[number]] = wp.normalize(normal)
+    cells.points[boxes.first[number]] = voxel_size * place
+    cells.colors[boxes.first[number]] = as_bytes(color)
+    cells.normals[boxes.first[number]] = wp.normalize(normal)
 
 
 class BoxTree:
@@ -143,7 +141,7 @@ class BoxTree:
             _write_vertices,
             dim=BOXES * self.slots,
             inputs=[self.grid, volume.table.blocks, volume.voxel_size, self.boxes],
-            outputs=[cells.colors, cells.normals, cells.points],
+            outputs=[cells.arrays()],
             device=self.device,
         )
 

@@ -34,7 +34,7 @@ from fusion.surface.dual_contouring.faces import (
     pattern_of,
     point_on_edge,
 )
-from fusion.surface.dual_contouring.vertices import VertexRoom, Vertices, set_vertex_between
+from fusion.surface.dual_contouring.vertices import VertexArrays, VertexRoom, Vertices, set_vertex_between
 from fusion.surface.layers import NONE, launch_over_layers, lowest_bit, number_of, step_along
 from fusion.volume.tsdf_volume import Volume
 
@@ -185,11 +185,8 @@ def _place_pins(
     voxel_size: float,
     along: wp.array(dtype=float),
     curve_points: wp.array(dtype=wp.vec4),
-    cell_colors: wp.array(dtype=wp.vec3ub),
-    cell_normals: wp.array(dtype=wp.vec3),
-    points: wp.array(dtype=wp.vec3),
-    colors: wp.array(dtype=wp.vec3ub),
-    normals: wp.array(dtype=wp.vec3),
+    cells: VertexArrays,
+    pins: VertexArrays,
 ) -> None:
     layer = wp.tid() + first
     if grid.pin_starts[layer] == grid.pin_starts[layer + 1]:
@@ -219,9 +216,7 @@ def _place_pins(
                     place[face_u(axis)] += point[0]
                     place[face_v(axis)] += point[1]
                     around = vertices_beside(grid, slot, layer, bit, axis, ends)
-                    set_vertex_between(
-                        pin, voxel_size * place, around, cell_colors, cell_normals, points, colors, normals
-                    )
+                    set_vertex_between(pin, voxel_size * place, around, cells, pins)
             left = left & (left - wp.uint64(1))
 
 
@@ -250,8 +245,8 @@ def place_pins(
     launch_in_slabs(
         _place_pins,
         dim=layers if count else 0,
-        inputs=[grid, volume.table.blocks, volume.voxel_size, along, curve_points, cells.colors, cells.normals],
-        outputs=[pins.points, pins.colors, pins.normals],
+        inputs=[grid, volume.table.blocks, volume.voxel_size, along, curve_points, cells.arrays()],
+        outputs=[pins.arrays()],
         device=device,
         least_slab=256,
     )

@@ -12,7 +12,7 @@ from fusion.surface.dual_contouring.dual_grid import DualGrid, complete_along
 from fusion.surface.dual_contouring.layer_quads import split_layer
 from fusion.surface.dual_contouring.quad_pins import has_pins, pins_around
 from fusion.surface.dual_contouring.quad_split import FAN, WITHOUT_CORNER
-from fusion.surface.dual_contouring.vertices import VertexRoom, Vertices, set_vertex_between
+from fusion.surface.dual_contouring.vertices import VertexArrays, VertexRoom, Vertices, set_vertex_between
 from fusion.surface.layers import NONE, launch_over_layers, lowest_bit, number_of, vertex_number
 from fusion.volume.tsdf_volume import Volume
 
@@ -125,11 +125,8 @@ def _place_fans(
     blocks: wp.array(dtype=wp.vec3i),
     voxel_size: float,
     along: wp.array(dtype=float),
-    cell_colors: wp.array(dtype=wp.vec3ub),
-    cell_normals: wp.array(dtype=wp.vec3),
-    points: wp.array(dtype=wp.vec3),
-    colors: wp.array(dtype=wp.vec3ub),
-    normals: wp.array(dtype=wp.vec3),
+    cells: VertexArrays,
+    fans: VertexArrays,
 ) -> None:
     layer = wp.tid() + first
     fan = starts[layer][1]
@@ -145,9 +142,7 @@ def _place_fans(
                 corner = 8 * block + wp.vec3i(bit & 7, bit >> 3, layer & 7)
                 point = wp.vec3(float(corner[0]), float(corner[1]), float(corner[2]))
                 point[axis] += along[vertex_number(grid.cells, layer, axis, bit)]
-                set_vertex_between(
-                    fan, voxel_size * point, corners[quad], cell_colors, cell_normals, points, colors, normals
-                )
+                set_vertex_between(fan, voxel_size * point, corners[quad], cells, fans)
                 fan += 1
             quad += 1
             left = left & (left - wp.uint64(1))
@@ -260,8 +255,8 @@ def cut_quads(
     launch_in_slabs(
         _place_fans,
         dim=layers if fan_total else 0,
-        inputs=[*quads, volume.table.blocks, volume.voxel_size, along, cells.colors, cells.normals],
-        outputs=[fans.points, fans.colors, fans.normals],
+        inputs=[*quads, volume.table.blocks, volume.voxel_size, along, cells.arrays()],
+        outputs=[fans.arrays()],
         device=device,
         least_slab=4096,
     )

@@ -44,6 +44,46 @@ def seen_around(here: wp.vec4ul, under: wp.vec4ul, axis: int, bit: int) -> int:
     return seen
 
 
+@wp.struct
+class RimLayer:
+    """Words of the cells at a layer's edges, and whether its quads may pass pins."""
+
+    here: wp.vec4ul
+    under: wp.vec4ul
+    pinned: bool
+
+
+@wp.struct
+class RimEdge:
+    """Which cells around an edge were ``seen``, whether its triangles are ``flipped``, and the ``pins`` there."""
+
+    seen: int
+    flipped: bool
+    pins: wp.vec4i
+
+
+@wp.func
+def rim_layer(grid: DualGrid, layer: int) -> RimLayer:
+    """Look up what a layer's edges have in common."""
+    found = RimLayer()
+    found.here = corners_back(grid.cells.active, grid.cells.lower, layer >> 3, layer & 7)
+    found.under = corners_back(grid.cells.active, grid.cells.lower, layer >> 3, (layer & 7) - 1)
+    found.pinned = has_pins(grid, layer >> 3, layer & 7)
+    return found
+
+
+@wp.func
+def rim_edge(grid: DualGrid, words: RimLayer, layer: int, axis: int, bit: int) -> RimEdge:
+    """Return what lies around the edge along an axis from a layer's voxel."""
+    edge = RimEdge()
+    edge.seen = seen_around(words.here, words.under, axis, bit)
+    edge.flipped = ((grid.cells.inside[layer] >> wp.uint64(bit)) & wp.uint64(1)) == NONE
+    edge.pins = wp.vec4i(-1, -1, -1, -1)
+    if words.pinned:
+        edge.pins = pins_around(grid, layer >> 3, layer & 7, bit, axis)
+    return edge
+
+
 @wp.func
 def is_seen(seen: int, cell: int) -> bool:
     """Return whether a cell was seen, counted around from 0 to 3 and on."""
@@ -94,16 +134,16 @@ def set_triangle(triangles: wp.array2d(dtype=int), number: int, a: int, b: int, 
 
 
 @wp.func
-def triangles_around(seen: int, flipped: bool, pins: wp.vec4i) -> int:
+def triangles_around(edge: RimEdge) -> int:
     """Return how many triangles ``write_fans`` writes around a rim edge."""
     count = int(0)
     for side in range(4):
-        before = is_seen(seen, side)
-        after = is_seen(seen, side + 1)
-        pinned = pins[side] >= 0
+        before = is_seen(edge.seen, side)
+        after = is_seen(edge.seen, side + 1)
+        pinned = edge.pins[side] >= 0
         if before and after:
             count += wp.where(pinned, 2, 1)
-        elif (before or after) and (pinned or before == flipped):
+        elif (before or after) and (pinned or before == edge.flipped):
             count += 1
     return count
 
@@ -114,15 +154,16 @@ def write_fans(
     slot: int,
     voxel: wp.vec3i,
     axis: int,
-    seen: int,
-    flipped: bool,
-    pins: wp.vec4i,
+    edge: RimEdge,
     first_pin: int,
     first_rim: int,
     number: int,
     triangles: wp.array2d(dtype=int),
 ) -> int:
     """Write the triangles around a rim edge from a ``number`` on, and return the next one's."""
+    seen = edge.seen
+    flipped = edge.flipped
+    pins = edge.pins
     layer = 8 * slot + voxel[2]
     bit = 8 * voxel[1] + voxel[0]
     around = wp.vec4i()
@@ -153,32 +194,18 @@ def write_fans(
     return number
 
 
-@wp.func
-def pins_of(grid: DualGrid, slot: int, z: int, bit: int, axis: int, some: bool) -> wp.vec4i:
-    """Return the pins of ``pins_around`` where the layer has ``some``."""
-    if some:
-        return pins_around(grid, slot, z, bit, axis)
-    return wp.vec4i(-1, -1, -1, -1)
-
-
 @wp.kernel
 def _count_triangles(first: int, grid: DualGrid, starts: wp.array(dtype=int)) -> None:
     layer = wp.tid() + first
     if grid.rim_starts[layer] == grid.rim_starts[layer + 1]:
         return
-    slot = layer >> 3
-    z = layer & 7
-    here = corners_back(grid.cells.active, grid.cells.lower, slot, z)
-    under = corners_back(grid.cells.active, grid.cells.lower, slot, z - 1)
-    some_pins = has_pins(grid, slot, z)
+    words = rim_layer(grid, layer)
     count = int(0)
     for axis in range(3):
         left = rim_along(grid, layer, axis)
         while left != NONE:
             bit = lowest_bit(left)
-            flipped = ((grid.cells.inside[layer] >> wp.uint64(bit)) & wp.uint64(1)) == NONE
-            pins = pins_of(grid, slot, z, bit, axis, some_pins)
-            count += triangles_around(seen_around(here, under, axis, bit), flipped, pins)
+            count += triangles_around(rim_edge(grid, words, layer, axis, bit))
             left = left & (left - wp.uint64(1))
     starts[layer] = count
 
@@ -196,21 +223,15 @@ def _write_triangles(
     layer = wp.tid() + first
     if grid.rim_starts[layer] == grid.rim_starts[layer + 1]:
         return
-    slot = layer >> 3
-    z = layer & 7
-    here = corners_back(grid.cells.active, grid.cells.lower, slot, z)
-    under = corners_back(grid.cells.active, grid.cells.lower, slot, z - 1)
-    some_pins = has_pins(grid, slot, z)
+    words = rim_layer(grid, layer)
     number = first_triangle + starts[layer]
     for axis in range(3):
         left = rim_along(grid, layer, axis)
         while left != NONE:
             bit = lowest_bit(left)
-            flipped = ((grid.cells.inside[layer] >> wp.uint64(bit)) & wp.uint64(1)) == NONE
-            pins = pins_of(grid, slot, z, bit, axis, some_pins)
-            seen = seen_around(here, under, axis, bit)
-            voxel = wp.vec3i(bit & 7, bit >> 3, z)
-            number = write_fans(grid, slot, voxel, axis, seen, flipped, pins, first_pin, first_rim, number, triangles)
+            edge = rim_edge(grid, words, layer, axis, bit)
+            voxel = wp.vec3i(bit & 7, bit >> 3, layer & 7)
+            number = write_fans(grid, layer >> 3, voxel, axis, edge, first_pin, first_rim, number, triangles)
             left = left & (left - wp.uint64(1))
 
 

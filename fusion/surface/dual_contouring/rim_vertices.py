@@ -5,7 +5,7 @@ import warp as wp
 from fusion.devices import launch_in_slabs
 from fusion.surface.dual_contouring.dual_grid import DualGrid
 from fusion.surface.dual_contouring.rim import rim_along, vertex_in_cell
-from fusion.surface.dual_contouring.vertices import VertexRoom, Vertices
+from fusion.surface.dual_contouring.vertices import VertexArrays, VertexRoom, Vertices
 from fusion.surface.layers import NONE, lowest_bit, number_of, step_along, vertex_number, voxel_of
 from fusion.volume.tsdf_volume import Volume
 from fusion.volume.voxel_average import average_of, color_along
@@ -31,10 +31,8 @@ def _place_vertices(
     voxels: Voxels,
     voxel_size: float,
     along: wp.array(dtype=float),
-    cell_normals: wp.array(dtype=wp.vec3),
-    points: wp.array(dtype=wp.vec3),
-    colors: wp.array(dtype=wp.vec3ub),
-    normals: wp.array(dtype=wp.vec3),
+    cells: VertexArrays,
+    vertices: VertexArrays,
 ) -> None:
     layer = wp.tid() + first
     vertex = grid.rim_starts[layer]
@@ -54,17 +52,17 @@ def _place_vertices(
             point[axis] += share
             copies = wp.where(((grid.parted[layer, axis] >> wp.uint64(bit)) & wp.uint64(1)) != NONE, 2, 1)
             for copy in range(copies):
-                points[vertex] = voxel_size * point
-                colors[vertex] = color
-                if normals.shape[0] > 0:
+                vertices.points[vertex] = voxel_size * point
+                vertices.colors[vertex] = color
+                if vertices.normals.shape[0] > 0:
                     normal = wp.vec3()
                     for cell in range(4):
                         # A copy's one cell is 0 or 1, or else 2 or 3.
                         if copies == 1 or (cell >> 1) == copy:
                             around = vertex_in_cell(grid, slot, voxel, axis, cell)
                             if around >= 0:
-                                normal += cell_normals[around]
-                    normals[vertex] = wp.normalize(normal)
+                                normal += cells.normals[around]
+                    vertices.normals[vertex] = wp.normalize(normal)
                 vertex += 1
             left = left & (left - wp.uint64(1))
 
@@ -80,8 +78,8 @@ def rim_vertices(
     launch_in_slabs(
         _place_vertices,
         dim=len(grid.several) if rim else 0,
-        inputs=[grid, volume.table.blocks, volume.voxels, volume.voxel_size, along, cells.normals],
-        outputs=[vertices.points, vertices.colors, vertices.normals],
+        inputs=[grid, volume.table.blocks, volume.voxels, volume.voxel_size, along, cells.arrays()],
+        outputs=[vertices.arrays()],
         device=volume.device,
         least_slab=256,
     )

@@ -9,6 +9,15 @@ import warp as wp
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 
+@wp.struct
+class VertexArrays:
+    """``Vertices`` for kernels."""
+
+    points: wp.array(dtype=wp.vec3)
+    colors: wp.array(dtype=wp.vec3ub)
+    normals: wp.array(dtype=wp.vec3)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Vertices:
     """Vertices on the device (n,): ``points`` metres in the world, ``colors`` RGB, unit ``normals`` or none (0,)."""
@@ -25,6 +34,12 @@ class Vertices:
             colors=wp.empty(count, dtype=wp.vec3ub, device=device),
             normals=wp.empty(count if normals else 0, dtype=wp.vec3, device=device),
         )
+
+    def arrays(self) -> VertexArrays:
+        """Return them as kernels take them."""
+        arrays = VertexArrays()
+        arrays.points, arrays.colors, arrays.normals = self.points, self.colors, self.normals
+        return arrays
 
     def part(self, start: int, end: int) -> "Vertices":
         """Return the vertices from one number to before another, where they lie."""
@@ -75,16 +90,9 @@ def as_bytes(total: wp.vec4) -> wp.vec3ub:
 
 @wp.func
 def set_vertex_between(
-    vertex: int,
-    point: wp.vec3,
-    around: wp.vec4i,
-    cell_colors: wp.array(dtype=wp.vec3ub),
-    cell_normals: wp.array(dtype=wp.vec3),
-    points: wp.array(dtype=wp.vec3),
-    colors: wp.array(dtype=wp.vec3ub),
-    normals: wp.array(dtype=wp.vec3),
+    vertex: int, point: wp.vec3, around: wp.vec4i, cells: VertexArrays, vertices: VertexArrays
 ) -> None:
-    """Write a vertex at a point, with the average colour and normal of the cells' vertices around it, −1 for none.
+    """Write a vertex at a point, with the average colour and normal of the ``cells``' around it, −1 for none.
 
     Normals are left out where there is no room for them.
     """
@@ -92,11 +100,11 @@ def set_vertex_between(
     color = wp.vec4()
     for i in range(4):
         if around[i] >= 0:
-            if cell_normals.shape[0] > 0:
-                normal += cell_normals[around[i]]
-            own = cell_colors[around[i]]
+            if cells.normals.shape[0] > 0:
+                normal += cells.normals[around[i]]
+            own = cells.colors[around[i]]
             color += wp.vec4(float(own[0]), float(own[1]), float(own[2]), 1.0)
-    points[vertex] = point
-    colors[vertex] = as_bytes(color)
-    if normals.shape[0] > 0:
-        normals[vertex] = wp.normalize(normal)
+    vertices.points[vertex] = point
+    vertices.colors[vertex] = as_bytes(color)
+    if vertices.normals.shape[0] > 0:
+        vertices.normals[vertex] = wp.normalize(normal)
