@@ -31,13 +31,16 @@ def box_distances(points):
     return np.min(to_each, axis=0)
 
 
-def box_model(device):
+def box_model(device, *, grown_by=0.0):
+    """Return the model of the boxes, or of what is larger than them by so many metres on all sides."""
     steps = np.linspace(-0.5, 0.5, 100)
     cube = np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(-1, 3)
     cube = cube[np.abs(cube).max(axis=1) == 0.5]
     faces = np.concatenate([np.array(at) + np.array(extents) * cube for extents, at in BOXES])
-    volume = volume_from_distances(box_distances, faces, voxel_size=VOXEL, device=device)
-    return prepare_model(volume, outline=boxes())
+    volume = volume_from_distances(
+        lambda points: box_distances(points) - grown_by, faces, voxel_size=VOXEL, device=device
+    )
+    return prepare_model(volume, outline=None if grown_by else boxes())
 
 
 def see_boxes(pose, device, camera=CAMERA):

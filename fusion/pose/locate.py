@@ -247,8 +247,7 @@ class _Locator:
         )
 
     def _refined(self, query: Query, nearest: _Nearest, truth: Matrix | None) -> RefinedPose:
-        wanted = "epipolar" in self.stages or "depth" in self.stages
-        references = self.target.references(nearest.estimate, nearest.indices) if wanted else []
+        references = self.target.references(nearest.estimate, nearest.indices)
         model, others = self.target.model, nearest.others
         results = refine(model, query, references, nearest.estimate, self.stages, others=others, features=self.features)
         return refined_record(results, assess(model, query, results), truth)

@@ -5,6 +5,7 @@ which is right to fractions of a pixel though the mask is not. From a wide blur 
 size, Gauss–Newton with the tape's Jacobian moves the pose on SE(3). An outline that something hides is an outlier.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -12,14 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.rigid import Matrix, inverse, rigid, transform_points
-from fusion.pose.levenberg_marquardt import Descent, descend
-from fusion.pose.normal_equations import Normals
 from fusion.pose.pose_model import PoseModel
 from fusion.pose.query import Query
+from fusion.pose.reference_frame import ReferenceFrame
 from fusion.pose.refinement import Refinement, declined
 from fusion.pose.se3 import perturb
+from fusion.pose.silhouette_problem import Poses, SilhouetteProblem, robust, robust_scales
+from fusion.pose.silhouette_reference import without_bias
 from fusion.pose.silhouette_target import Level, outline_length, silhouette_from_depth, silhouette_levels
-from fusion.pose.soft_silhouette import SilhouetteRenderer, SoftSilhouette
+from fusion.pose.soft_silhouette import SoftSilhouette
 from fusion.pose.starting_poses import TURN_BY_OUTLINE_DEG, ring_of_turns
 from fusion.pose.uncertainty import Uncertainty, clustered_uncertainty
 
@@ -33,8 +35,6 @@ _CLUSTERS_ACROSS = 6
 _SHIFTED_BY, _COMPARED_BY = 0, 1
 """Levels with all of their image's pixels: one to shift the model onto the mask, one to tell how well it fits."""
 
-Poses = NDArray[np.float64]
-
 
 @dataclass(frozen=True, kw_only=True)
 class SilhouetteRefinementOptions:
@@ -46,85 +46,17 @@ class SilhouetteRefinementOptions:
     starts: Literal["auto", "one", "many"] = "auto"
 
 
-class _Problem:
-    """A mask against a model at all levels; poses turn about ``pivot_world``, ``radius`` metres is the model's size."""
-
-    def __init__(self, model: PoseModel, levels: list[Level]) -> None:
-        self.model, self.levels = model, levels
-        self.pivot_world, self.radius = model.centre_world, 0.3 * model.diameter
-        self._renderers: dict[tuple[int, int], SilhouetteRenderer] = {}
-
-    def see(self, number: int, poses: Poses, *, with_jacobian: bool = False) -> SoftSilhouette:
-        """Return the model's soft silhouette at a level's pixels, from poses (k, 4, 4)."""
-        level = self.levels[number]
-        if (number, len(poses)) not in self._renderers:
-            self._renderers[number, len(poses)] = SilhouetteRenderer(
-                self.model,
-                level.camera,
-                level.pixels,
-                softness_px=level.softness_px,
-                pivot_world=self.pivot_world,
-                poses=len(poses),
-            )
-        return self._renderers[number, len(poses)].render(poses, with_jacobian=with_jacobian)
-
-    def normals(self, number: int, poses: Poses) -> Normals:
-        """Return the normal equations of poses (k, 4, 4); residuals are shares of coverage."""
-        seen = self.see(number, poses, with_jacobian=True)
-        assert seen.jacobian is not None
-        residuals = seen.coverage - self.levels[number].target
-        weights, costs = _robust(residuals)
-        weighted = weights[..., None] * seen.jacobian
-        return Normals(
-            hessian=np.swapaxes(weighted, 1, 2) @ seen.jacobian,
-            gradient=(weighted * residuals[..., None]).sum(axis=1),
-            cost=costs.mean(axis=1),
-            known=np.isfinite(seen.edge_px).mean(axis=1),
-            inliers=(np.abs(residuals) < 0.25).mean(axis=1),
-            weight=weights.sum(axis=1),
-            squares=(weights * residuals**2).sum(axis=1),
-        )
-
-    def descend(self, number: int, poses: Poses) -> Descent:
-        level = self.levels[number]
-        # As the pose that is nearest sees it, a pixel at the model's middle.
-        away = np.linalg.norm(poses[:, :3, 3] - self.pivot_world, axis=1).min()
-        metres_a_pixel = float(away) / level.camera.fx
-        return descend(
-            lambda at: self.normals(number, at),
-            poses,
-            pivot_world=self.pivot_world,
-            radius_m=self.radius,
-            iterations=level.iterations,
-            enough_m=level.enough_px * metres_a_pixel,
-            rough_m=level.rough_px * metres_a_pixel,
-        )
-
-    def overlaps(self, number: int, poses: Poses) -> NDArray[np.float64]:
-        """Return the intersections over union (k,) of the silhouettes, at a level that has all pixels."""
-        ours, theirs = self.see(number, poses).coverage > 0.5, self.levels[number].target > 0.5
-        return (ours & theirs).sum(axis=1) / np.maximum((ours | theirs).sum(axis=1), 1)
-
-
-def _robust(residuals: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return weights and costs (k, n): by Geman and McClure's kernel an edge that is off by more than σ counts less."""
-    scale = _scales(residuals)
-    share = (residuals / scale) ** 2
-    return 1 / (1 + share) ** 2, 0.5 * scale**2 * share / (1 + share)
-
-
-def _scales(residuals: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.maximum(0.4, 2 * np.sqrt(np.mean(residuals**2, axis=1, keepdims=True)))
-
-
 def refine_with_silhouette(
     model: PoseModel,
     query: Query,
     world_from_camera: Matrix,
     *,
+    references: Sequence[ReferenceFrame] = (),
     options: SilhouetteRefinementOptions | None = None,
 ) -> Refinement:
     """Refine the pose of ``query`` from the start ``world_from_camera`` by its mask, or the one that its depth tells.
+
+    What the model's outline is off by is told by the frames nearest to the view that are among ``references``.
 
     Residuals are pixels of the query's image; ``overlap`` is the masks' intersection over union. Where it declines, the
     start is handed back. Raises InputError for a start that is not rigid.
@@ -140,12 +72,12 @@ def refine_with_silhouette(
         return declined("silhouette", start, reason, used=count, unit="px")
     if outline_length(mask) < FEWEST_PIXELS:
         return declined("silhouette", start, "the mask's outline is not in the image", used=count, unit="px")
-    problem = _Problem(model, silhouette_levels(mask, query.camera))
+    problem = SilhouetteProblem(model, silhouette_levels(mask, query.camera))
     best: _Found | None = None
     if options.starts != "many":
-        best = _from_one(problem, start)
+        best = _from_one(problem, start, references)
     if best is None or (options.starts == "auto" and best.overlap < _GOOD_IOU):
-        found = _from_many(problem, start)
+        found = _from_many(problem, start, references)
         best = found if best is None or found.overlap > best.overlap + 0.01 else best
     return _result(problem, best, start, px_a_level_px=query.camera.fx / problem.levels[-1].camera.fx)
 
@@ -160,26 +92,28 @@ class _Found:
     last_step_m: float
 
 
-def _from_one(problem: _Problem, start: Matrix) -> _Found:
+def _from_one(problem: SilhouetteProblem, start: Matrix, references: Sequence[ReferenceFrame]) -> _Found:
     poses = start[None]
     if problem.overlaps(_SHIFTED_BY, poses)[0] < 0.5:
         poses = _shifted_onto_mask(problem, poses)
-    return _through_levels(problem, poses)
+    return _through_levels(problem, poses, references)
 
 
-def _from_many(problem: _Problem, start: Matrix) -> _Found:
+def _from_many(problem: SilhouetteProblem, start: Matrix, references: Sequence[ReferenceFrame]) -> _Found:
     """Descend the coarsest level from many starts, and all levels from the best of them."""
     shifted = _shifted_onto_mask(problem, start[None])[0]
     poses = perturb(ring_of_turns(TURN_BY_OUTLINE_DEG), shifted, pivot_world=problem.pivot_world)
     poses = problem.descend(_SHIFTED_BY, _shifted_onto_mask(problem, poses)).poses
     order = np.argsort(-problem.overlaps(_COMPARED_BY, poses), kind="stable")
-    return _through_levels(problem, poses[order[:_KEPT_STARTS]])
+    return _through_levels(problem, poses[order[:_KEPT_STARTS]], references)
 
 
-def _through_levels(problem: _Problem, poses: Poses) -> _Found:
+def _through_levels(problem: SilhouetteProblem, poses: Poses, references: Sequence[ReferenceFrame]) -> _Found:
     """Descend poses (k, 4, 4) through all levels; returns the one that fits best."""
     spent = 0
     for number in range(len(problem.levels)):
+        if number == len(problem.levels) - 1:
+            problem = without_bias(problem, references, poses[0])
         descent = problem.descend(number, poses)
         poses, spent = descent.poses, spent + descent.iterations
     overlaps = problem.overlaps(_COMPARED_BY, poses)
@@ -192,7 +126,7 @@ def _through_levels(problem: _Problem, poses: Poses) -> _Found:
     )
 
 
-def _shifted_onto_mask(problem: _Problem, poses: Poses) -> Poses:
+def _shifted_onto_mask(problem: SilhouetteProblem, poses: Poses) -> Poses:
     """Shift the cameras (k, 4, 4) so that the silhouette's middle and area become the mask's."""
     level = problem.levels[_SHIFTED_BY]
     for _step in range(2):
@@ -201,7 +135,7 @@ def _shifted_onto_mask(problem: _Problem, poses: Poses) -> Poses:
     return poses
 
 
-def _shifted(problem: _Problem, level: Level, pose: Matrix, covered: NDArray[np.float64]) -> Matrix:
+def _shifted(problem: SilhouetteProblem, level: Level, pose: Matrix, covered: NDArray[np.float64]) -> Matrix:
     """Return a pose shifted by what the pixels that it covers (n,) are off the mask."""
     middle_camera = transform_points(inverse(pose), problem.pivot_world)
     target = np.average(level.pixels, axis=0, weights=level.target)
@@ -221,7 +155,7 @@ def _shifted(problem: _Problem, level: Level, pose: Matrix, covered: NDArray[np.
     return moved
 
 
-def _result(problem: _Problem, best: _Found, start: Matrix, *, px_a_level_px: float) -> Refinement:
+def _result(problem: SilhouetteProblem, best: _Found, start: Matrix, *, px_a_level_px: float) -> Refinement:
     """Return what was found; a pixel of the finest level is ``px_a_level_px`` of the query's."""
     level = problem.levels[-1]
     seen = problem.see(len(problem.levels) - 1, best.pose[None], with_jacobian=True)
@@ -249,17 +183,17 @@ def _result(problem: _Problem, best: _Found, start: Matrix, *, px_a_level_px: fl
     )
 
 
-def _uncertainty(problem: _Problem, level: Level, seen: SoftSilhouette) -> Uncertainty:
+def _uncertainty(problem: SilhouetteProblem, level: Level, seen: SoftSilhouette) -> Uncertainty:
     """Return how well an outline fixes the pose; what tells of the same piece of the outline errs alike."""
     assert seen.jacobian is not None
     residuals = seen.coverage - level.target
-    share = ((residuals / _scales(residuals)) ** 2)[0]
+    share = ((residuals / robust_scales(residuals)) ** 2)[0]
     side = max(float(np.sqrt(np.prod(np.ptp(level.pixels, axis=0) + 1))) / _CLUSTERS_ACROSS, 1.0)
     cells = np.floor((level.pixels - level.pixels.min(axis=0)) / side).astype(np.int64)
     return clustered_uncertainty(
         seen.jacobian[0],
         residuals[0],
-        _robust(residuals)[0][0],
+        robust(residuals)[0][0],
         cells @ np.array([1, 10_000]),
         pivot_world=problem.pivot_world,
         radius_m=problem.radius,

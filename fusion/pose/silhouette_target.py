@@ -14,6 +14,7 @@ from fusion.pose.query import Query
 
 _WIDTHS = (40, 80, 160, 320)
 """About how many pixels wide the levels' images are."""
+FINEST = -1
 _SOFTNESS_PX = (1.5, 1.2, 1.0, 0.8)
 _ITERATIONS = (8, 6, 6, 8)
 _ENOUGH_PX = (0.3, 0.3, 0.2, 0.03)
@@ -47,27 +48,27 @@ class Level:
 
 def silhouette_levels(mask: NDArray[np.bool_], camera: PinholeCamera) -> list[Level]:
     """Return what the silhouette is compared with, coarse to fine, for a mask (height, width) of ``camera``."""
-    levels = []
-    settings = zip(_WIDTHS, _SOFTNESS_PX, _ITERATIONS, _ENOUGH_PX, strict=True)
-    for number, (width, softness_px, iterations, enough_px) in enumerate(settings):
-        step = max(round(camera.width / width), 1)
-        blurred = blurred_mask(mask, softness_px * step, step)
-        wanted = np.ones(blurred.shape, bool)
-        if number >= _WHOLE_LEVELS:
-            reach = int(np.ceil(_BAND_SIGMAS * softness_px * step))
-            wanted = _near_edge(mask, reach)[::step, ::step]
-        v, u = np.nonzero(wanted)
-        levels.append(
-            Level(
-                camera=camera.subsampled(step),
-                pixels=np.stack([u, v], axis=-1).astype(np.float64),
-                target=blurred[v, u].astype(np.float64),
-                softness_px=softness_px,
-                iterations=iterations,
-                enough_px=enough_px,
-            )
-        )
-    return levels
+    return [silhouette_level(mask, camera, number) for number in range(len(_WIDTHS))]
+
+
+def silhouette_level(mask: NDArray[np.bool_], camera: PinholeCamera, number: int) -> Level:
+    """Return one of these levels, counted from the coarsest, or FINEST."""
+    number %= len(_WIDTHS)
+    step, softness_px = max(round(camera.width / _WIDTHS[number]), 1), _SOFTNESS_PX[number]
+    blurred = blurred_mask(mask, softness_px * step, step)
+    wanted = np.ones(blurred.shape, bool)
+    if number >= _WHOLE_LEVELS:
+        reach = int(np.ceil(_BAND_SIGMAS * softness_px * step))
+        wanted = _near_edge(mask, reach)[::step, ::step]
+    v, u = np.nonzero(wanted)
+    return Level(
+        camera=camera.subsampled(step),
+        pixels=np.stack([u, v], axis=-1).astype(np.float64),
+        target=blurred[v, u].astype(np.float64),
+        softness_px=softness_px,
+        iterations=_ITERATIONS[number],
+        enough_px=_ENOUGH_PX[number],
+    )
 
 
 def blurred_mask(mask: NDArray[np.bool_], sigma_px: float, step: int) -> NDArray[np.float32]:

@@ -50,14 +50,15 @@ def refine(
 ) -> list[Refinement]:
     """Run ``stages`` from ``start`` (world_from_camera), each from the pose that the one before it hands on.
 
-    ``references`` are the fused frames nearest to the start, for the epipolar stage, whose ``features`` are SIFT, ORB
-    or AKAZE. ``others`` are what else the search for the nearest pose has found, None where the start is not from
-    there: the depth stage tries them, too. The silhouette's pose is combined with that of the features before it.
+    ``references`` are the fused frames nearest to the start: the epipolar stage, whose ``features`` are SIFT, ORB or
+    AKAZE, cannot do without, and the others take from them what the model is off by. ``others`` are what else the
+    search for the nearest pose has found, None where the start is not from there: the depth stage tries them, too. The
+    silhouette's pose is combined with that of the features before it.
     ``nearest`` is what the start came from, and nothing is done for it.
     """
     run: dict[Stage, Callable[[Matrix], Refinement]] = {
         "epipolar": lambda pose: rectify(model, query, references, pose, options=EpipolarOptions(features=features)),
-        "silhouette": lambda pose: refine_with_silhouette(model, query, pose),
+        "silhouette": lambda pose: refine_with_silhouette(model, query, pose, references=references),
         "depth": lambda pose: refine_with_depth(model, query, pose, references=references, others=others),
     }
     results: list[Refinement] = []

@@ -67,7 +67,7 @@ def is_model_file(path: Path) -> bool:
 def open_reconstruction(folder: Path, *, device: Device, frames_for: Sequence[StageName]) -> Target:
     """Open a reconstruction, and its fused frames for the stages that ask for them.
 
-    The epipolar stage cannot do without; the depth stage takes them where they still are. Raises InputError for files
+    The epipolar stage cannot do without; the others take them where they still are. Raises InputError for files
     that cannot be used.
     """
     record = read_record(folder)
@@ -76,7 +76,7 @@ def open_reconstruction(folder: Path, *, device: Device, frames_for: Sequence[St
         for frame in record.trajectory
     ]
     there = (folder / record.dataset).is_dir()
-    with_frames = "epipolar" in frames_for or ("depth" in frames_for and there)
+    with_frames = "epipolar" in frames_for or (there and len(frames_for) > 1)
     volume = load_volume(folder / VOLUME_FILE, device=device)
     return Target(
         name=str(folder),

@@ -25,7 +25,7 @@ from fusion.pose_benchmark.subjects import Fused, Subject
 from fusion.pose_benchmark.views import View, spoiled
 
 REFERENCES = 3
-"""How many of the nearest fused frames the features are looked for in, as ``fusion locate`` does."""
+"""How many of the nearest fused frames the stages are given, as ``fusion locate`` does."""
 
 _Value = TypeVar("_Value")
 
@@ -96,7 +96,7 @@ def make_task(case: Case) -> Task:
         return replace(
             task,
             start=subject.fused.poses[subject.fused.frames[nearest[0]]],
-            references=_references(subject.fused, trial, nearest),
+            references=_references(subject.fused, nearest),
         )
     fused = subject.fused
     found, cost = timed(lambda: _found(subject, fused, query))
@@ -104,7 +104,7 @@ def make_task(case: Case) -> Task:
         task,
         start=found.estimate,
         nearest=_nearest(fused, exact, found, cost),
-        references=_references(fused, trial, found.indices),
+        references=_references(fused, found.indices),
         others=list(found.others) if isinstance(found, NearestPose) else None,
     )
 
@@ -144,7 +144,5 @@ def _nearest(fused: Fused, exact: View, found: NearestPose | NearestOutline, cos
     )
 
 
-def _references(fused: Fused, trial: Trial, nearest: NDArray[np.int64]) -> tuple[ReferenceFrame, ...]:
-    if trial.stages == ("silhouette",):
-        return ()
+def _references(fused: Fused, nearest: NDArray[np.int64]) -> tuple[ReferenceFrame, ...]:
     return tuple(fused.reference(fused.frames[i]) for i in nearest[:REFERENCES])

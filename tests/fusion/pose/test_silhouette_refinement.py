@@ -12,6 +12,7 @@ from datagen.errors import InputError
 from datagen.rigid import inverse, rotation_angle_deg
 from fusion.devices import resolve_device
 from fusion.pose.query import Query
+from fusion.pose.reference_frame import ReferenceFrame
 from fusion.pose.se3 import perturb
 from fusion.pose.silhouette_refinement import (
     SilhouetteRefinementOptions,
@@ -184,6 +185,29 @@ def test_the_spread_of_poses_under_wavy_outlines_is_that_of_the_covariance(model
     # a piece of the outline five pixels long, and as many across it, would count as 25. Of a covariance that some 20
     # clusters tell, the mean is 6 · 19/(20 − 6 − 2) (Hotelling 1931), and its own spread over 20 draws is a third.
     assert 3 < np.mean(squares) < 18
+
+
+def reference(pose, depth):
+    color = np.zeros((*depth.shape, 3), np.uint8)
+    return ReferenceFrame(camera=CAMERA, color=color, depth=depth, world_from_camera=pose)
+
+
+def test_what_the_models_outline_is_off_by_is_told_by_a_frame_nearby(device):
+    model, truth = box_model(device, grown_by=0.0015), POSES[0]
+    query = Query(camera=CAMERA, mask=see_boxes(truth, device) > 0)
+    beside = perturb(twist(np.random.default_rng(1), 3.0, 0.01), truth, pivot_world=MIDDLE)
+    seen = see_boxes(beside, device)
+    alone = refine_with_silhouette(model, query, beside)
+    # Larger by 1.5 mm of 0.15 m, and so taken for nearer by 8 mm of 0.8 m, give or take the 4 mm of a right model.
+    assert errors(alone.world_from_camera, truth)[1] > 4e-3
+    found = refine_with_silhouette(model, query, beside, references=[reference(beside, seen)])
+    # As of a right model above, but with two outlines of whole pixels.
+    assert errors(found.world_from_camera, truth)[1] < 4e-3 * 2**0.5
+    # A frame whose depth ends some pixels within its outline tells of its sensor, and one far away of other outlines.
+    frayed = np.where(cv2.erode(seen, np.ones((9, 9), np.uint8)) > 0, seen, 0)
+    others = [reference(beside, frayed), reference(POSES[1], see_boxes(POSES[1], device))]
+    same = refine_with_silhouette(model, query, beside, references=others)
+    np.testing.assert_array_equal(same.world_from_camera, alone.world_from_camera)
 
 
 def test_without_an_outline_it_declines_with_the_reason(model):
