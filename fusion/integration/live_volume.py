@@ -209,7 +209,8 @@ class LiveVolume:
         # The user's weights lie elsewhere each time, which no graph knows of.
         may_capture = device.is_cuda and slot.batch.pixel_weights is None and wp.is_mempool_enabled(device)
         if may_capture and slot.graph is None and slot.done is not None:
-            with wp.ScopedCapture(device=device) as capture:
+            # All kernels are loaded by now; an older driver would have Warp load those of every module.
+            with wp.ScopedCapture(device=device, force_module_load=False) as capture:
                 self._find_and_integrate(slot)
             slot.graph = capture.graph
         if may_capture and slot.graph is not None:

@@ -292,6 +292,10 @@ class Machine:
         return True
 
     def do_array_scan_int_device(self, source: int, target: int, count: int, *rest: Any) -> bool:
+        # Unlike the others it is told no device: with several, the current one has to be the array's.
+        if self._contexts[-1] != _CONTEXT:
+            raise RuntimeError("a scan while the array's device is not the current one")
+
         def work() -> None:
             places = (self.memory.real(_number(place), 4 * count) for place in (source, target))
             self.core.wp_array_scan_int_host(*places, count, *rest)
