@@ -113,7 +113,7 @@ def _add_meshing(command: argparse.ArgumentParser) -> None:
         default=defaults.flatness,
         metavar="VOXELS",
         help="let dual contouring merge cells where the surface is flat: how far off the mesh may be then, in voxels; "
-        "0.05 spares most vertices (default: %(default)s, a vertex a cell)",
+        "0.05 spares most vertices, and their colours (default: %(default)s, a vertex a cell)",
     )
 
 
