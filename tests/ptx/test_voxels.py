@@ -30,6 +30,7 @@ VOXEL_SIZE, TRUNCATION, DEPTH_SCALE = 0.05, 0.16, 0.0005
 BOUND = 1e-5
 # float32 has 4e-6 px at 70 px, and a projection is rounded a few times.
 NUDGE_PX, NUDGE = 3e-5, 1e-6
+PAPER = Integration()
 OPTIONS = [
     Integration(depth_sampling=sampling, weighting=weighting, drop_off=drop_off)
     for sampling, weighting, drop_off in itertools.product(
@@ -133,6 +134,21 @@ def test_blocks_are_the_same(cpu, cuda, steps):
     np.testing.assert_array_equal(blocks_found(cuda, steps=steps), blocks_found(cpu, steps=steps))
 
 
+@pytest.mark.parametrize("late", [False, True], ids=["at once", "late"])
+def test_batches_that_take_turns_in_two_buffers_do_not_spoil_each_other(cpu, machine, cuda, late, monkeypatch):
+    whole = averages(fused(cpu, PAPER, steps=True))
+    monkeypatch.setattr(machine.streams, "late", late)
+    volume = empty_volume(cuda, "full")
+    volume.table.adopt(BLOCKS[True])
+    volume.reserve(volume.table.count)
+    upload = FrameUploader(CAMERA, device=cuda, capacity=1, depth_scale=DEPTH_SCALE)
+    for frame in FRAMES:
+        steps = np.rint(frame.depth / DEPTH_SCALE).astype(np.uint16)
+        integrate_batch(volume, upload([steps], [frame.world_from_camera], [frame.color]), PAPER)
+    apart = np.abs(averages({name: array.numpy() for name, array in volume.arrays().items()}) - whole).max(axis=1)
+    assert (apart > BOUND).mean() < 1e-3
+
+
 def live(device, **options):
     lengths = {"voxel_size": VOXEL_SIZE, "truncation": TRUNCATION, "depth_scale": DEPTH_SCALE}
     volume = LiveVolume(CAMERA, device=str(device.alias), **lengths, **options)
@@ -163,11 +179,13 @@ def test_a_live_volume_is_the_same_however_late_its_work_is_done(cpu, machine, c
 
 def test_a_frame_waits_for_no_compiler_and_for_no_read_back(machine, cuda, monkeypatch):
     monkeypatch.setattr("fusion.integration.live_volume._FIRST_CAPACITY", 256)
-    options = Integration()
-    load_fusion_kernels(options, device=cuda)
+    load_fusion_kernels(PAPER, device=cuda)
+    wp.load_module("fusion.volume.volume_operations", device=cuda)  # by which the test reads the voxels
     loaded = len(machine.loaded)
-    fused(cuda, options, steps=True)
+    fused(cuda, PAPER, steps=True)
     assert machine.loaded[loaded:] == []
+    # Nor is a module made for one size of blocks ahead, and at its first launch for another.
+    assert len({file.rsplit("_", 1)[0] for file in machine.loaded}) == len(set(machine.loaded))
     volume = live(cuda)
     volume.finish()
     waits = []
