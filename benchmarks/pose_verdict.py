@@ -299,7 +299,7 @@ def show(cases):
 def chosen_meshes(options):
     meshes = {}
     if options.shapes != "none":
-        first = FIRST_NUMBER[options.shapes]
+        first = FIRST_NUMBER[options.shapes] if options.first is None else options.first
         for number in range(first, first + options.count):
             meshes[f"solid {number}"] = random_solid(number)
         for number in range(first, first + min(options.twins, options.count)):
@@ -314,6 +314,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("out", type=Path, nargs="+", help="JSON of the cases; several with --only-table")
     parser.add_argument("--shapes", choices=[*FIRST_NUMBER, "none"], default="held")
+    parser.add_argument("--first", type=int, metavar="NUMBER", help="of the shapes, to have some that nobody has seen")
     parser.add_argument("--count", type=int, default=8, help="of shapes")
     parser.add_argument("--twins", type=int, default=4, help="of how many there is a twin, too")
     parser.add_argument("--meshes", type=Path, nargs="*", default=[], metavar="PLY")

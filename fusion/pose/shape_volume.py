@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 from datagen.errors import InputError
 from fusion.devices import Device, launch_in_slabs
 from fusion.surface.mesh import Mesh
+from fusion.surface.mesh_ray_casting import Hierarchy
 from fusion.volume.block_table import BLOCK_SIDE, BLOCK_VOXELS
 from fusion.volume.tsdf_volume import Volume
 
@@ -25,6 +26,8 @@ _NEIGHBOURS = 8
 _VIEWS = 162
 """Directions from which points are looked at, to tell which side of a surface is its outside."""
 _FEWEST_POINTS = 100
+_INSIDE_FROM = 0.375
+"""Windings: midway between those at a right edge, a quarter, and at a face, a half."""
 
 Distances = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
@@ -127,14 +130,23 @@ def _cover(corners: NDArray[np.float64], spacing: float) -> NDArray[np.float64]:
 def volume_from_points(points: NDArray[np.floating], *, voxel_size: float, device: Device) -> Volume:
     """Return the volume of the surface that points (n, 3), world frame, were sampled from.
 
-    Distances are those to the planes through the nearest points, blended (Kolluri 2008, moving least squares). Raises
-    InputError where they are too few to tell a surface.
+    Distances are those to the planes through the nearest points, blended (Kolluri 2008, moving least squares). Where a
+    plane goes on beyond the surface's end, what is behind it is not inside: the points, as discs, do not wind around it
+    (Barill 2018). Raises InputError where they are too few to tell
+    a surface.
     """
     positions = np.asarray(points, dtype=np.float64)
     if len(positions) < _FEWEST_POINTS:
         raise InputError(f"{len(positions)} points do not tell a surface; give at least {_FEWEST_POINTS}")
     normals = outward_normals(positions)
     tree = cKDTree(positions)
+    middle = positions.mean(axis=0)
+    discs = _discs(positions - middle, normals, tree.query(positions, k=_NEIGHBOURS + 1)[0][:, -1])
+    hierarchy = wp.Mesh(
+        points=wp.array(discs.vertices, dtype=wp.vec3, device=device),
+        indices=wp.array(discs.triangles.ravel(), dtype=int, device=device),
+        support_winding_number=True,
+    )
 
     def distances(at: NDArray[np.float64]) -> NDArray[np.float64]:
         apart, nearest = tree.query(at, k=_NEIGHBOURS)
@@ -144,11 +156,51 @@ def volume_from_points(points: NDArray[np.floating], *, voxel_size: float, devic
         agree = np.einsum("nkd,nd->nk", normals[nearest], normals[nearest[:, 0]]) > 0.3
         weights = np.exp(-((apart / width) ** 2)) * agree
         blended = (weights * heights).sum(axis=1) / weights.sum(axis=1)
-        # Beyond the surface's end, and where sheets meet, a plane goes on but the points do not: nothing is known.
-        unsure = (apart[:, 0] > width[:, 0]) & (np.abs(blended) < 0.7 * apart[:, 0])
-        return np.where(unsure, np.inf, blended)
+        behind = np.flatnonzero(blended < 0)
+        beyond = behind[~_is_inside(hierarchy, at[behind] - middle, device)]
+        blended[beyond] = np.maximum(apart[beyond, 0], -blended[beyond])
+        return np.asarray(blended)
 
     return volume_from_distances(distances, positions, voxel_size=voxel_size, device=device)
+
+
+def _discs(points: NDArray[np.float64], normals: NDArray[np.float64], reach: NDArray[np.float64]) -> Mesh:
+    """Return hexagons around points (n, 3), square to their normals, of the area that is each one's.
+
+    ``reach`` (n,) is the distance of the eighth neighbour: a circle of that radius holds eight points' areas.
+    """
+    first = np.cross(normals, np.where(np.abs(normals[:, :1]) < 0.8, (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)))
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    second = np.cross(normals, first)
+    # A hexagon's area is 3/2 √3 times the square of its radius.
+    radius = reach * np.sqrt(np.pi / (_NEIGHBOURS * 1.5 * 3**0.5))
+    around = np.arange(6) * np.pi / 3
+    ring = np.cos(around)[:, None] * first[:, None] + np.sin(around)[:, None] * second[:, None]
+    corners = np.concatenate([points[:, None], points[:, None] + radius[:, None, None] * ring], axis=1)
+    fan = np.stack([np.zeros(6, int), 1 + np.arange(6), 1 + (np.arange(6) + 1) % 6], axis=-1)
+    triangles = (7 * np.arange(len(points))[:, None, None] + fan).reshape(-1, 3)
+    return Mesh(vertices=corners.reshape(-1, 3).astype(np.float32), triangles=triangles.astype(np.int32))
+
+
+@wp.kernel
+def _windings(
+    first: int, mesh: wp.uint64, points: wp.array(dtype=wp.vec3), threshold: float, inside: wp.array(dtype=int)
+) -> None:
+    index = wp.tid() + first
+    found = wp.mesh_query_point_sign_winding_number(mesh, points[index], 1.0e6, 2.0, threshold)
+    inside[index] = wp.where(found.sign < 0.0, 1, 0)
+
+
+def _is_inside(discs: Hierarchy, positions: NDArray[np.float64], device: Device) -> NDArray[np.bool_]:
+    """Tell which positions (n, 3), in the frame of the discs, these wind around."""
+    if not len(positions):
+        return np.zeros(0, bool)
+    points = wp.array(positions.astype(np.float32), dtype=wp.vec3, device=device)
+    inside = wp.empty(len(positions), dtype=int, device=device)
+    launch_in_slabs(
+        _windings, dim=len(positions), inputs=[discs.id, points, _INSIDE_FROM], outputs=[inside], device=device
+    )
+    return np.asarray(inside.numpy() > 0)
 
 
 def outward_normals(points: NDArray[np.float64]) -> NDArray[np.float64]:

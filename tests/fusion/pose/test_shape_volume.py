@@ -41,6 +41,23 @@ def test_the_volume_of_points_has_the_surface_that_they_were_drawn_from(device):
     assert model.diameter == pytest.approx(np.linalg.norm(np.ptp(points, axis=0)), rel=0.05)
 
 
+def test_the_volume_of_points_ends_where_they_end(device):
+    extents, spacing = np.array([0.1, 0.08, 0.06]), 0.003
+    box = trimesh.creation.box(extents)
+    count = int(box.area / spacing**2)
+    points = np.asarray(trimesh.sample.sample_surface_even(box, 2 * count, seed=0)[0])
+    model = prepare_model(volume_from_points(points, voxel_size=0.001, device=device))
+    # No plane goes on beyond an edge by more than the points are apart, of which some are a little farther.
+    beyond = np.abs(model.mesh.vertices) - extents / 2
+    assert beyond.max() < 1.5 * spacing
+    # Nor is anything of the faces lost: their middles are covered to the points' spacing.
+    for axis in range(3):
+        for side in (-1, 1):
+            on = np.abs(model.mesh.vertices[:, axis] - side * extents[axis] / 2) < 0.001
+            others = np.delete(model.mesh.vertices[on], axis, axis=1)
+            assert (np.ptp(others, axis=0) > np.delete(extents, axis) - 2 * spacing).all()
+
+
 def test_normals_of_points_face_outward():
     points = sphere_points()
     apart = np.linalg.norm(points[:, None] - CENTRES, axis=2) - RADII
