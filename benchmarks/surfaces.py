@@ -4,7 +4,7 @@
     python benchmarks/surfaces.py topology --solids 300
     python benchmarks/surfaces.py edges table time
     python benchmarks/surfaces.py scenes --datasets suzanne bunny table --every 10
-    python benchmarks/surfaces.py vertices --datasets table --every 10 --voxel-sizes 0.010 0.014 0.020
+    python benchmarks/surfaces.py vertices smooth --datasets table --every 10 --voxel-sizes 0.010 0.014 0.020
 
 *topology*: random solids in closed form, each meshed by the volume alone and by the solid as an oracle: how many are
 closed and manifold, and how many pairs of triangles meet (exactly, CGAL through libigl); with cells merged, too, within
@@ -14,7 +14,7 @@ of a true edge, and beyond two voxels. *order*: how vertices converge on a smoot
 ``accuracy.py`` over voxel sizes, for the vertices that an error takes. *time*: CPU and wall seconds of meshing it.
 *scenes*: recordings with a true mesh (``scene_surfaces.py``), for their topology, errors, vertices and time.
 *vertices*: how many vertices an error takes on such recordings, on coarser voxels or decimated
-(``vertices_for_errors.py``).
+(``vertices_for_errors.py``). *smooth*: how far smooth parts are from the truth (``smooth_parts.py``).
 """
 
 import argparse
@@ -33,6 +33,7 @@ sys.path.append(str(_HERE))
 
 import accuracy
 import scene_surfaces
+import smooth_parts
 import vertices_for_errors
 from analytic_oracle import SolidState, ball, cube, l_shape, random_solid, solid_value
 from mesh_topology import is_closed, is_manifold, self_intersections
@@ -273,6 +274,10 @@ def measure_vertices(device, options):
     vertices_for_errors.measure_vertices(device, options, datasets, print_row)
 
 
+def measure_smooth(device, options):
+    smooth_parts.measure_smooth(device, options, print_row)
+
+
 def print_row(*cells):
     print("| " + " | ".join(cells) + " |", flush=True)
 
@@ -285,6 +290,7 @@ MEASURES = {
     "time": measure_time,
     "scenes": measure_scenes,
     "vertices": measure_vertices,
+    "smooth": measure_smooth,
 }
 
 
