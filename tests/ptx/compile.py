@@ -86,4 +86,7 @@ def load(ptx: str, folder: Path, *, optimise: bool) -> ctypes.CDLL:
     return ctypes.CDLL(str(library))
 
 
-_SOURCES = [_HERE / "machine.h", _HERE / "translate.py", _HERE / "instructions.py"]
+_SOURCES = [
+    *_HERE.glob("*.h"),
+    *(_HERE / f"{n}.py" for n in ("translate", "instructions", "operands", "memory_instructions")),
+]

@@ -5,7 +5,6 @@ that library: compiling is NVRTC's as ever, what needs a driver is done here, al
 code runs that would run on a GPU: streams, events, pinned memory, graphs.
 """
 
-import ctypes
 import itertools
 import threading
 from collections import Counter
@@ -16,11 +15,12 @@ from typing import Any
 import psutil
 
 from ptx.compile import Kernel, Launch, load
+from ptx.device_memory import MemoryFunctions
+from ptx.device_state import CONTEXT, as_number
+from ptx.device_streams import StreamFunctions
 from ptx.memory import Memory
-from ptx.streams import Event, Graph, Streams
+from ptx.streams import Event, Streams
 
-_CONTEXT = 0xC0DA
-_CURRENT_STREAM = 2**64 - 1
 _PROPERTIES = {
     "wp_cuda_device_get_count": 1,
     "wp_cuda_device_get_name": b"PTX on the CPU",
@@ -39,7 +39,7 @@ _PROPERTIES = {
     "wp_cuda_device_get_pci_domain_id": 0,
     "wp_cuda_device_get_pci_bus_id": 0,
     "wp_cuda_device_get_pci_device_id": 0,
-    "wp_cuda_device_get_primary_context": _CONTEXT,
+    "wp_cuda_device_get_primary_context": CONTEXT,
     "wp_cuda_driver_is_initialized": 1,
     "wp_cuda_driver_version": 13000,
     "wp_cuda_context_check": 0,
@@ -65,20 +65,11 @@ _PASSED_ON = {
 _BY_COLLECTOR = ("_destroy", "_destroy_device", "free_device_async", "free_device_default", "free_pinned", "_current")
 
 
-def _number(value: Any) -> int:
-    """Return a handle or an address, however ctypes was handed it."""
-    if value is None:
-        return 0
-    if hasattr(value, "contents"):
-        return ctypes.addressof(value.contents)
-    return int(value) if isinstance(value, int) else int(getattr(value, "value", None) or 0)
-
-
 def _constant(value: Any) -> Callable[..., Any]:
     return lambda *_: value
 
 
-class Machine:
+class Machine(MemoryFunctions, StreamFunctions):
     """Warp's native library with a CUDA device in it.
 
     ``late`` runs nothing before it is waited for; ``order`` is that of threads and blocks: 0 ascending, 1 descending,
@@ -141,25 +132,16 @@ class Machine:
 
         return call
 
-    def _handle(self, what: Any) -> int:
-        number = next(self._numbers)
-        self._handles[number] = what
-        return number
-
-    def _stream(self, stream: Any) -> int:
-        number = _number(stream)
-        return self.streams.current if number == _CURRENT_STREAM else number
-
     # Contexts.
 
     def do_cuda_context_get_current(self) -> int | None:
         return self._contexts[-1]
 
     def do_cuda_context_set_current(self, context: Any) -> None:
-        self._contexts[-1] = _number(context) or None
+        self._contexts[-1] = as_number(context) or None
 
     def do_cuda_context_push_current(self, context: Any) -> None:
-        self._contexts.append(_number(context) or None)
+        self._contexts.append(as_number(context) or None)
 
     def do_cuda_context_pop_current(self) -> None:
         self._contexts.pop()
@@ -182,218 +164,6 @@ class Machine:
             if pointer is not None:
                 pointer._obj.value = value
 
-    # Memory.
-
-    def do_alloc_device_async(self, _context: Any, size: int, stream: Any, _tag: Any) -> int:
-        begin = self.memory.allocate(size, pinned=False)
-        number = self._stream(stream)
-        # There from this operation of the stream on, in a graph at each launch: other streams have to wait for it.
-        self.streams.issue(number, lambda: self.memory.poison(begin))
-        if self.streams.streams[number].capture is not None:
-            self._graphs_own.add(begin)
-        return begin
-
-    def do_free_device_async(self, _context: Any, pointer: Any, _node: Any) -> None:
-        begin = _number(pointer)
-        if begin in self._graphs_own:
-            # The graph keeps it: the next launch writes there again.
-            self._graphs_own.remove(begin)
-            if self.streams.capturing():
-                self.streams.issue(self.streams.current, lambda: self.memory.poison(begin))
-            return
-        if self.streams.capturing():
-            return  # Warp puts it off to the end of the capture; here it is then kept
-        # On the default stream, which comes after all that was issued.
-        self.streams.issue(0, lambda: self.memory.free(begin))
-
-    def do_alloc_device_default(self, _context: Any, size: int, _tag: Any) -> int:
-        self.streams.refuse_in_capture("allocating memory that is no pool's")
-        return self.memory.allocate(size, pinned=False)
-
-    def do_free_device_default(self, _context: Any, pointer: Any) -> None:
-        self.streams.synchronize()
-        self.memory.free(_number(pointer))
-
-    def do_alloc_pinned(self, size: int, _tag: Any) -> int:
-        self.streams.refuse_in_capture("allocating pinned memory")
-        return self.memory.allocate(size, pinned=True)
-
-    def do_free_pinned(self, pointer: Any) -> None:
-        if not self.streams.capturing():
-            self.streams.synchronize()
-            self.memory.free(_number(pointer))
-
-    # Copies.
-
-    def _copy(self, target: Any, source: Any, size: int, stream: Any) -> bool:
-        to, of, number = _number(target), _number(source), self._stream(stream)
-
-        def work() -> None:
-            ctypes.memmove(self.memory.real(to, size), self.memory.real(of, size), size)
-
-        self.streams.issue(number, work)
-        return True
-
-    def do_memcpy_h2d(self, _context: Any, target: Any, source: Any, size: int, stream: Any) -> bool:
-        if self.memory.is_known(_number(source)):
-            return self._copy(target, source, size, stream)
-        # Pageable memory is read before the call returns.
-        self.streams.refuse_in_capture("copying from memory that is not pinned")
-        held, to = ctypes.string_at(_number(source), size), _number(target)
-        self.streams.issue(
-            self._stream(stream), lambda: ctypes.memmove(self.memory.real(to, size), held, size) and None
-        )
-        return True
-
-    def do_memcpy_d2h(self, _context: Any, target: Any, source: Any, size: int, stream: Any) -> bool:
-        pinned = self.memory.is_known(_number(target))
-        if not pinned:
-            self.streams.refuse_in_capture("copying to memory that is not pinned")
-        self._copy(target, source, size, stream)
-        if not pinned:
-            self.streams.synchronize(self._stream(stream))
-        return True
-
-    def do_memcpy_d2d(self, _context: Any, target: Any, source: Any, size: int, stream: Any) -> bool:
-        return self._copy(target, source, size, stream)
-
-    def do_memset_device(self, _context: Any, target: Any, value: int, size: int, stream: Any) -> bool:
-        to = _number(target)
-        self.streams.issue(
-            self._stream(stream), lambda: ctypes.memset(self.memory.real(to, size), value, size) and None
-        )
-        return True
-
-    def do_memtile_device(self, _context: Any, target: Any, source: Any, size: int, count: int) -> None:
-        to, tile = _number(target), ctypes.string_at(_number(source), size)
-        self.streams.issue(
-            self.streams.current,
-            lambda: ctypes.memmove(self.memory.real(to, size * count), tile * count, size * count) and None,
-        )
-
-    def _there(self, array: Any) -> Any:
-        """Return the description of an array, with the address at which its data lie on the host."""
-        copy = type(array).from_buffer_copy(array)
-        copy.data = self.memory.real(_number(array.data), 0)
-        return copy
-
-    def do_array_copy_device(
-        self, _context: Any, target: Any, source: Any, target_kind: int, source_kind: int, size: int
-    ) -> bool:
-        if (target_kind, source_kind) != (0, 0):
-            raise NotImplementedError("a copy between arrays that are not plain")
-        held = [type(a.contents).from_buffer_copy(a.contents) for a in (target, source)]
-
-        def work() -> None:
-            to, of = (self._there(array) for array in held)
-            self.core.wp_array_copy_host(ctypes.byref(to), ctypes.byref(of), target_kind, source_kind, size)
-
-        self.streams.issue(self.streams.current, work)
-        return True
-
-    def do_array_scan_int_device(self, source: int, target: int, count: int, *rest: Any) -> bool:
-        # Unlike the others it is told no device: with several, the current one has to be the array's.
-        if self._contexts[-1] != _CONTEXT:
-            raise RuntimeError("a scan while the array's device is not the current one")
-
-        def work() -> None:
-            places = (self.memory.real(_number(place), 4 * count) for place in (source, target))
-            self.core.wp_array_scan_int_host(*places, count, *rest)
-
-        self.streams.issue(self.streams.current, work)
-        return True
-
-    def do_mesh_create_device(self, _context: Any, points: Any, velocities: Any, indices: Any, *rest: Any) -> int:
-        # Built by Warp's host code: the same structure, of which a kernel follows the host's addresses.
-        self.streams.synchronize()
-        numbers, (winding, _constructor, groups, leaf) = rest[:2], rest[2:]
-        arrays = (self._there(array) for array in (points, velocities, indices))
-        self.memory.hosts_own += 1
-        return int(self.core.wp_mesh_create_host(*arrays, *numbers, winding, 0, groups, leaf))
-
-    def do_mesh_destroy_device(self, mesh: int) -> None:
-        self.streams.synchronize()
-        self.core.wp_mesh_destroy_host(mesh)
-        self.memory.hosts_own -= 1
-
-    # Streams, events, graphs.
-
-    def do_cuda_stream_create(self, _context: Any, _priority: int) -> int:
-        number = next(self._numbers)
-        self.streams.streams[number] = type(self.streams.streams[0])()
-        return number
-
-    def do_cuda_stream_destroy(self, _context: Any, stream: Any) -> None:
-        gone = self.streams.streams[_number(stream)]
-        if gone.last is not None:
-            self.streams.streams[0].waits.append(gone.last)
-        del self.streams.streams[_number(stream)]
-
-    def do_cuda_stream_query(self, stream: Any) -> int:
-        last = self.streams.streams[self._stream(stream)].last
-        return 0 if last is None or last.done else 600
-
-    def do_cuda_stream_synchronize(self, stream: Any) -> bool:
-        self.streams.synchronize(self._stream(stream))
-        return True
-
-    def do_cuda_stream_is_capturing(self, stream: Any) -> int:
-        return int(self.streams.streams[self._stream(stream)].capture is not None)
-
-    def do_cuda_stream_get_capture_id(self, stream: Any) -> int:
-        return self._stream(stream) + 1
-
-    def do_cuda_stream_wait_event(self, stream: Any, event: Any, _external: Any) -> None:
-        self.streams.wait(self._stream(stream), self._handles[_number(event)])
-
-    def do_cuda_stream_wait_stream(self, stream: Any, other: Any, event: Any, _external: Any) -> None:
-        self.streams.record(self._handles[_number(event)], self._stream(other))
-        self.streams.wait(self._stream(stream), self._handles[_number(event)])
-
-    def do_cuda_event_create(self, _context: Any, _flags: int) -> int:
-        return self._handle(Event())
-
-    def do_cuda_event_destroy(self, event: Any) -> None:
-        del self._handles[_number(event)]
-
-    def do_cuda_event_record(self, event: Any, stream: Any, _external: Any) -> None:
-        self.streams.record(self._handles[_number(event)], self._stream(stream))
-
-    def do_cuda_event_query(self, event: Any) -> int:
-        operation = self._handles[_number(event)].operation
-        return 0 if operation is None or operation.done else 600
-
-    def do_cuda_event_synchronize(self, event: Any) -> bool:
-        self.streams.refuse_in_capture("waiting for an event")
-        self.streams.finish(self._handles[_number(event)].operation)
-        return True
-
-    def do_cuda_graph_begin_capture(self, _context: Any, stream: Any, _external: int, _mode: int) -> bool:
-        self.streams.begin_capture(self._stream(stream))
-        return True
-
-    def do_cuda_graph_end_capture(self, _context: Any, stream: Any, graph: Any) -> bool:
-        graph._obj.value = self._handle(self.streams.end_capture(self._stream(stream)))
-        return True
-
-    def do_cuda_graph_create_exec(self, _context: Any, _stream: Any, graph: Any, executable: Any) -> bool:
-        executable._obj.value = self._handle(self._handles[_number(graph)])
-        return True
-
-    def do_cuda_graph_launch(self, executable: Any, stream: Any) -> bool:
-        held = self._handles[_number(executable)]
-        assert isinstance(held, Graph), "a graph is launched"
-        self.streams.launch(held, self._stream(stream))
-        return True
-
-    def do_cuda_graph_destroy(self, _context: Any, graph: Any) -> bool:
-        del self._handles[_number(graph)]
-        return True
-
-    def do_cuda_graph_exec_destroy(self, _context: Any, executable: Any) -> bool:
-        del self._handles[_number(executable)]
-        return True
-
     # Kernels.
 
     def do_cuda_load_module(self, _context: Any, path: bytes) -> int:
@@ -403,7 +173,7 @@ class Machine:
         return self._handle((library, place.name.removeprefix("wp_").rsplit("_", 1)[0]))
 
     def do_cuda_get_kernel(self, _context: Any, module: Any, name: bytes) -> int:
-        library, module_name = self._handles[_number(module)]
+        library, module_name = self._handles[as_number(module)]
         return self._handle(Kernel(library, name.decode(), module_name))
 
     def do_cuda_launch_kernel(
@@ -424,7 +194,7 @@ class Machine:
             raise NotImplementedError("a launch of a kernel that is not grid-stride")
         if dim == 0:
             return 0
-        held: Kernel = self._handles[_number(kernel)]
+        held: Kernel = self._handles[as_number(kernel)]
         block = block_dim if block_dim > 0 else 256
         blocks = min(-(-dim // block), max_blocks if max_blocks > 0 else 2**31 - 1)
         params = held.packed(args)

@@ -9,7 +9,7 @@ import pytest
 import warp as wp
 
 from ptx.compile import Kernel, Launch, Range, compiler, load
-from ptx.instructions import UnknownPtxError
+from ptx.operands import UnknownPtxError
 from ptx.translate import to_c
 
 _KINDS = {"f32": "f", "u32": "I", "s32": "i", "u64": "Q", "s64": "q", "f64": "d", "u16": "H", "s16": "h"}

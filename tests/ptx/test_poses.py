@@ -13,7 +13,7 @@ from fusion.pose.normal_equations import TUKEY, Robustness, normal_equations, po
 from fusion.pose.pose_distance import pose_distances
 from fusion.pose.query import Query, query_cloud
 from fusion.pose.se3 import perturb
-from fusion.pose.shape_volume import volume_from_mesh
+from fusion.pose.shape_volume import volume_from_mesh, volume_from_points
 from fusion.pose.soft_silhouette import SilhouetteRenderer
 from fusion.pose.view_index import index_views
 from fusion.pose.view_overlap import overlap, query_view
@@ -92,6 +92,14 @@ def test_the_volume_of_a_mesh_is_the_same(cpu, cuda):
     ball = trimesh.creation.icosphere(subdivisions=2, radius=0.1)
     mesh = Mesh(vertices=np.asarray(ball.vertices, np.float32), triangles=np.asarray(ball.faces, np.int32))
     volumes = [volume_from_mesh(mesh, voxel_size=0.02, device=device) for device in (cpu, cuda)]
+    sums = [volume.arrays()["distance_sum"].numpy() for volume in volumes]
+    assert (sums[0] < 0).any()
+    np.testing.assert_allclose(sums[1], sums[0], atol=1e-5)
+
+
+def test_the_volume_of_points_is_the_same(cpu, cuda):
+    points = sphere_points()[::8]
+    volumes = [volume_from_points(points, voxel_size=0.02, device=device) for device in (cpu, cuda)]
     sums = [volume.arrays()["distance_sum"].numpy() for volume in volumes]
     assert (sums[0] < 0).any()
     np.testing.assert_allclose(sums[1], sums[0], atol=1e-5)

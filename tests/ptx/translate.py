@@ -3,7 +3,8 @@
 import re
 from dataclasses import dataclass, field
 
-from ptx.instructions import UnknownPtxError, name_of, statement
+from ptx.instructions import statement
+from ptx.operands import UnknownPtxError, name_of
 
 _REGISTERS = re.compile(r"\.reg\s+\.(\w+)\s+(%\w+)(?:<(\d+)>)?$")
 _VARIABLE = re.compile(
