@@ -1,7 +1,7 @@
 """Occupancy-based dual contouring on the sparse blocks, after Hwang and Sung (SIGGRAPH Asia 2024).
 
 1-D points on edges, 2-D points on faces, 3-D points in cells, and quads that are cut so that they never meet: the steps
-are modules of their own. Vertices are in the order of their cells, then those on faces, then those on edges, and last
+are modules of their own, as is merging cells where the surface is flat. Vertices are in the order of their cells, then those on faces, then those on edges, and last
 those on the edges of the rim; triangles are in the order of the edges, those at the rim last. So nothing depends on
 which thread is first.
 """
@@ -44,10 +44,11 @@ def dual_contouring(
     is over ``min_weight`` (≥ 0), and a cell where its eight corners do. The mesh is open at the border of the cells
     that were seen, where marching cubes' is. ``normals`` asks for the vertices' normals.
 
-    With a ``flatness`` (≥ 0) one vertex serves many cells where the surface is flat: no vertex that a cell would have
-    is farther than so many voxels from the mesh.
+    With a ``flatness`` (≥ 0) one vertex serves many cells where the surface is flat (``merge_cells``): no vertex that a
+    cell would have is farther than so many voxels from the mesh. What is less than 0.01 voxel thick may vanish.
     """
     assert min_weight >= 0, "an unseen voxel's weight is 0"
+    assert flatness >= 0, "a distance"
     snap = min(MOST_SNAP, 0.25 * flatness)
     if snap > 0 and oracle is None:
         volume = snapped(volume, min_weight=min_weight, within=snap)
