@@ -1,9 +1,9 @@
 """Occupancy-based dual contouring on the sparse blocks, after Hwang and Sung (SIGGRAPH Asia 2024).
 
 1-D points on edges, 2-D points on faces, 3-D points in cells, and quads that are cut so that they never meet: the steps
-are modules of their own, as is merging cells where the surface is flat. Vertices are in the order of their cells, then those on faces, then those on edges, and last
-those on the edges of the rim; triangles are in the order of the edges, those at the rim last. So nothing depends on
-which thread is first.
+are modules of their own, as is merging cells where the surface is flat. Vertices are in the order of their cells, then
+those on faces, then those on edges, and last those on the edges of the rim; triangles are in the order of the edges,
+those at the rim last. So nothing depends on which thread is first.
 """
 
 from fusion.devices import Kernel
