@@ -204,7 +204,7 @@ def locate(wanted, query):
             start = find_nearest_pose(wanted.index, query.depth, mask=query.mask).estimate
     except InputError:
         return None
-    results = refine(wanted.model, query, [], start, default_stages(has_depth=query.depth is not None))
+    results = refine(wanted.model, query, [], start, default_stages(has_depth=query.depth is not None, has_color=False))
     return results[-1], assess(wanted.model, query, results)
 
 
