@@ -70,16 +70,18 @@ def scanned_subject(
     """Fuse some of a dataset's frames into ``folder``, or read what lies there of them, and hold out the others.
 
     ``fuse`` is START:STOP:STEP; without it all frames but every fifth of an object, every tenth of a room. Without a
-    ``voxel_size`` it is that of ``locating_voxel_size``. What lies in a ``box`` is the object: the model is cropped to
-    it, and a view's mask is what its true pose and depth show of it. Raises InputError where no frame is left to
-    locate, and for everything that a reconstruction refuses.
+    ``voxel_size`` it is that of ``locating_voxel_size``; of a room, whose recorded poses do not agree as exactly as its
+    pixels are fine, that of any reconstruction. What lies in a ``box`` is the object: the model is cropped to it, and a
+    view's mask is what its true pose and depth show of it. Raises InputError where no frame is left to locate, and for
+    everything that a reconstruction refuses.
     """
     fused_frames = _fused_frames(dataset, kind, fuse)
     held_out = tuple(i for i in dataset.frame_ids if i not in set(fused_frames))
     if not held_out:
         raise InputError(f"{dataset.folder}: all of its frames are fused, none is left to locate; fuse fewer")
     dataset.require(dataset.frame_ids)
-    voxel_size = voxel_size or locating_voxel_size(dataset, fused_frames)
+    if voxel_size is None and kind == "object":
+        voxel_size = locating_voxel_size(dataset, fused_frames)
     record = _reconstruction(dataset, folder, fused_frames, voxel_size, device, progress)
     volume = load_volume(folder / VOLUME_FILE, device=device)
     model = prepare_model(volume if box is None else crop(volume, box.low, box.high))
@@ -133,7 +135,7 @@ def _reconstruction(
     dataset: Dataset,
     folder: Path,
     frames: tuple[int, ...],
-    voxel_size: float,
+    voxel_size: float | None,
     device: Device,
     progress: ProgressReporter,
 ) -> ReconstructionRecord:
