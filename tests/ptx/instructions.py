@@ -247,6 +247,20 @@ def _together(operation: str, modifiers: list[str], operands: list[str], functio
     raise UnknownPtxError(f"{operation}.{'.'.join(modifiers)} {', '.join(operands)}")
 
 
+def _call(operands: list[str], function: Function) -> str:
+    """Return the call of a function of the module, with the addresses of what it is given and of its answer."""
+    found = re.fullmatch(r"(?:\(\s*(\w+)\s*\), )?([\w$]+)(?:, \((.*)\))?", ", ".join(operands))
+    if found is None:
+        raise UnknownPtxError(f"call {', '.join(operands)}")
+    answer, name, given = found.groups()
+    addresses = [read(o.strip(), "u64", function) for o in (given or "").split(",") if o.strip()]
+    place = read(answer, "u64", function) if answer else "0"
+    return (
+        f"{{ const u64 own = t->local, end = t->local_end, given[] = {{{', '.join([*addresses, '0'])}}}; "
+        f"func_{name}(t, {place}, given); t->local = own; t->local_end = end; }}"
+    )
+
+
 def _jump(operands: list[str]) -> str:
     return f"goto {operands[0].replace('$', 'L_')};"
 
@@ -277,6 +291,7 @@ _HANDLERS: dict[str, _Handler] = {
     "prmt": lambda _, _m, o, f: _words("prmt", o, f),
     "lop3": lambda _, _m, o, f: _words("lop3", o, f),
     "shf": lambda _, m, o, f: _words(f"shf_{m[0]}_{m[1]}", o, f),
+    "call": lambda _, _m, o, f: _call(o, f),
     "bra": lambda _, _m, o, _f: _jump(o),
     "ret": lambda *_: "return;",
     "exit": lambda *_: "return;",

@@ -32,6 +32,9 @@ typedef struct {
 
 static ucontext_t scheduler;
 
+/* Whether n bytes lie in a variable of the module itself. */
+static int is_modules_own(u64 a, unsigned n);
+
 static _Noreturn void fault(Thread *t, const char *what, u64 address, unsigned size, int line) {
     snprintf(t->launch->fault, sizeof t->launch->fault, "%s: %u bytes at 0x%llx, PTX line %d, block %u, thread %u", what,
              size, (unsigned long long)address, line, t->ctaid[0], t->tid);
@@ -48,6 +51,7 @@ static __attribute__((noinline)) void *find(Thread *t, Site *s, u64 a, unsigned 
     }
     const Range *held = &t->launch->ranges[low];
     if (low == t->launch->ranges_count || held->begin > a || held->end - a < n) {
+        if (is_modules_own(a, n)) return (void *)a;
         // What Warp's own host code has made, as a mesh's hierarchy, is where the host has put it, if it may be.
         if (t->launch->device_end == 0 || (a >= t->launch->device_begin && a < t->launch->device_end) || a < 4096)
             fault(t, "illegal address", a, n, line);

@@ -23,9 +23,10 @@ def _place(operand: str, space: str, kind: str, function: Function, *, bytes_at_
         address = f"{base}ull"
     else:
         address = f"({address_of(base, function)} + {offset})"
-        if base in function.globals:
+        if base in function.globals or base in function.pointers:
             return f"({c_type(kind)} *){address}"
     last = f"{bytes_at_once}, {function.line}"
+    space = "local" if base in function.locals else space
     if space == "shared":
         return f"({c_type(kind)} *)at_shared(t, (u32){address}, {last})"
     if space in {"local", "param"}:

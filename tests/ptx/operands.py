@@ -86,6 +86,8 @@ def address_of(name: str, function: Function) -> str:
     """Return a variable's address in its own space."""
     name, _, offset = name.partition("+")
     more = f" + {int(offset)}" if offset else ""
+    if name in function.pointers:
+        return f"({function.pointers[name]}{more})"
     if name in function.params:
         return f"(param + {function.params[name]}{more})"
     if name in function.shared:

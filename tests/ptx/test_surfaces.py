@@ -55,6 +55,8 @@ MODULES = [
         for stage in (
             *("cell_points", "cells_from_faces", "close_gaps", "depth_oracle", "edge_points", "face_words"),
             *("find_grid", "frame_choice", "pins", "quad_corners", "quads", "rim", "rim_polygons", "rim_vertices"),
+            *("box_flatness", "box_quads", "box_tree", "merge_boxes", "several_loops", "snap_signs", "tame_cells"),
+            "extended_signs",
         )
     ),
 ]
@@ -102,6 +104,14 @@ def assert_same_mesh(found, expected, *, voxels=1e-5):
         assert np.linalg.svd(corners)[1][2] <= ACCURACY * VOXEL_SIZE
 
 
+def assert_same_surface(found, expected, *, flatness):
+    """Which of several vertices stays is a matter of rounding; each mesh keeps the flatness that was asked for."""
+    assert len(found.vertices) == pytest.approx(len(expected.vertices), rel=0.1)
+    for some, others in ((found, expected), (expected, found)):
+        apart = closest_points(some, others.vertices, device=wp.get_device("cpu")).distances
+        assert apart.max() <= 2 * flatness * VOXEL_SIZE
+
+
 @pytest.mark.parametrize("storage", ["full", "packed"])
 def test_marching_cubes_is_the_same(cpu, cuda, storage):
     expected, found = (marching_cubes(bumpy_volume(device, storage), normals=True) for device in (cpu, cuda))
@@ -135,10 +145,7 @@ def test_dual_contouring_of_noise_is_the_same(cpu, cuda):
 def test_fewer_vertices_where_it_is_flat_give_the_same_surface(cpu, cuda):
     flatness = 0.1
     expected, found = (dual_contouring(bumpy_volume(device), flatness=flatness) for device in (cpu, cuda))
-    # Which of several vertices stays is a matter of rounding; each mesh keeps the flatness that was asked for.
-    assert len(found.vertices) == pytest.approx(len(expected.vertices), rel=0.1)
-    for some, others in ((found, expected), (expected, found)):
-        assert closest_points(some, others.vertices, device=cpu).distances.max() <= 2 * flatness * VOXEL_SIZE
+    assert_same_surface(found, expected, flatness=flatness)
 
 
 def frames_of(device, *, steps, count=6):
@@ -175,6 +182,11 @@ def test_dual_contouring_of_depth_images_is_the_same(cpu, cuda, steps, weighted)
     found = dual_contouring(volume, oracle=oracle)
     # Searches end within their tolerance: a hundredth of a voxel is a fifth of the accuracy that is asked of meshes.
     assert_same_mesh(found, expected, voxels=1e-2)
+    if steps and not weighted:
+        flat = dual_contouring(volume, oracle=oracle, flatness=0.1)
+        assert len(flat.vertices) < len(found.vertices)
+        apart = closest_points(expected, flat.vertices, device=cpu).distances
+        assert apart.max() <= 2 * 0.1 * VOXEL_SIZE
 
 
 def test_rays_into_the_volume_meet_the_same(cpu, cuda):

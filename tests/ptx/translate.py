@@ -6,13 +6,14 @@ from dataclasses import dataclass, field
 from ptx.instructions import statement
 from ptx.operands import UnknownPtxError, name_of
 
-_REGISTERS = re.compile(r"\.reg\s+\.(\w+)\s+(%\w+)(?:<(\d+)>)?$")
+_REGISTERS = re.compile(r"\.reg\s+\.(\w+)\s+(%?\w+)(?:<(\d+)>)?$")
 _VARIABLE = re.compile(
     r"(?:\.(?:visible|extern|weak|common)\s+)*\.(global|const|shared|local|param)\s+"
     r"(?:\.align\s+(\d+)\s+)?\.(\w+)\s+([\w$]+)(?:\[(\d*)\])?\s*(?:=\s*(.*))?$",
     re.DOTALL,
 )
 _ENTRY = re.compile(r"(?:\.(?:visible|weak)\s+)*\.entry\s+([\w$]+)\s*\((.*)\)", re.DOTALL)
+_DEVICE_FUNCTION = re.compile(r"(?:\.(?:visible|weak)\s+)*\.func\s*(?:\(([^)]*)\))?\s*([\w$]+)\s*\((.*)\)", re.DOTALL)
 _SIZES = {"8": 1, "16": 2, "32": 4, "64": 8}
 _C_TYPES = {"pred": "pred", "f32": "f32", "f64": "f64", "b8": "u8", "b16": "u16", "b32": "u32", "b64": "u64"}
 
@@ -44,6 +45,7 @@ class Function:
     shared: dict[str, int] = field(default_factory=dict)
     locals: dict[str, int] = field(default_factory=dict)
     globals: dict[str, Variable] = field(default_factory=dict)
+    pointers: dict[str, str] = field(default_factory=dict)
     used: set[str] = field(default_factory=set)
     together: bool = False
     sites: int = 0
@@ -108,26 +110,24 @@ def _statements(text: str) -> list[tuple[int, str]]:
     return found
 
 
-def _entry(header: str, body: str, first_line: int, variables: dict[str, Variable]) -> tuple[str, set[str]]:
-    """Return a kernel in C, and the module's variables that it names."""
-    found = _ENTRY.match(header)
-    if found is None:
-        raise UnknownPtxError(f"a function that is no kernel: {header[:120]}")
-    function = Function(found.group(1), globals=variables)
-    copies, offset = [], 0
-    for number, text in enumerate(p for p in found.group(2).split(",") if p.strip()):
-        parameter = _variable(text.strip())
+def _parameters(text: str) -> list[Variable]:
+    found = [(part.strip(), _variable(part.strip())) for part in text.split(",") if part.strip()]
+    for part, parameter in found:
         if parameter is None:
-            raise UnknownPtxError(f"parameter {text.strip()}")
-        offset = -(-offset // max(parameter.align, 8)) * max(parameter.align, 8)
-        function.params[parameter.name] = offset
-        copies.append(f"    memcpy((unsigned char *)params + {offset}, args[{number}], {parameter.bytes});")
-        offset += parameter.bytes
-    params_size, local_size, shared_size = offset, 0, 0
-    for variable in variables.values():
+            raise UnknownPtxError(f"parameter {part}")
+    return [parameter for _, parameter in found if parameter is not None]
+
+
+def _aligned(offset: int, align: int) -> int:
+    return -(-offset // align) * align
+
+
+def _body(function: Function, body: str, first_line: int) -> tuple[list[str], int, int]:
+    """Return a function's statements in C with its registers, and its bytes of local and of shared memory."""
+    local_size = shared_size = 0
+    for variable in function.globals.values():
         if variable.space == "shared":
-            shared_size = -(-shared_size // variable.align) * variable.align
-            function.shared[variable.name] = shared_size
+            function.shared[variable.name] = shared_size = _aligned(shared_size, variable.align)
             shared_size += variable.bytes
     lines: list[str] = []
     for number, text in _statements(body):
@@ -138,39 +138,65 @@ def _entry(header: str, body: str, first_line: int, variables: dict[str, Variabl
         elif registers:
             kind, name, count = registers.groups()
             names = [f"{name}{i}" for i in range(int(count))] if count else [name]
-            for register in names:
-                function.registers[register] = _C_TYPES[kind]
+            function.registers |= dict.fromkeys(names, _C_TYPES[kind])
+        elif variable and variable.space == "shared":
+            function.shared[variable.name] = shared_size = _aligned(shared_size, variable.align)
+            shared_size += variable.bytes
         elif variable:
-            if variable.space == "local":
-                local_size = -(-local_size // variable.align) * variable.align
-                function.locals[variable.name] = local_size
-                local_size += variable.bytes
-            else:
-                shared_size = -(-shared_size // variable.align) * variable.align
-                function.shared[variable.name] = shared_size
-                shared_size += variable.bytes
+            # Also what a call hands over: each call has its own.
+            function.locals[variable.name] = local_size = _aligned(local_size, max(variable.align, 8))
+            local_size += variable.bytes
         else:
             lines.append("    " + statement(text, function))
-    mentioned = " ".join(lines)
-    names = set(re.findall(r"\bR\w+", mentioned))
+    names = set(re.findall(r"\bR\w+", " ".join(lines)))
     declared = [f"    {kind} {name_of(r)};" for r, kind in function.registers.items() if name_of(r) in names]
-    name, local = function.name, max(local_size, 1)
+    opening = [
+        f"    Site *const sites = sites_{function.name}; (void)sites;",
+        f"    _Alignas(16) unsigned char depot[{max(local_size, 1)}];",
+        f"    t->local = (u64)depot; t->local_end = (u64)depot + {local_size};",
+        "    const u64 param = t->param; (void)param;",
+    ]
+    return [*opening, *declared, *lines], local_size, shared_size
+
+
+def _device_function(header: str, body: str, first_line: int, variables: dict[str, Variable]) -> tuple[str, set[str]]:
+    """Return in C what kernels call, and the module's variables that it names."""
+    found = _DEVICE_FUNCTION.match(header)
+    if found is None:
+        raise UnknownPtxError(f"a function: {header[:120]}")
+    function = Function(found.group(2), globals=variables)
+    function.pointers = {p.name: "answer" for p in _parameters(found.group(1) or "")}
+    function.pointers |= {p.name: f"given[{i}]" for i, p in enumerate(_parameters(found.group(3)))}
+    lines, _, _ = _body(function, body, first_line)
+    sites = f"static Site sites_{function.name}[{max(function.sites, 1)}];"
+    head = f"static void func_{function.name}(Thread *t, u64 answer, const u64 *given) {{"
+    return "\n".join([sites, head, "    (void)answer; (void)given;", *lines, "}"]), function.used
+
+
+def _entry(header: str, body: str, first_line: int, variables: dict[str, Variable]) -> tuple[str, set[str]]:
+    """Return a kernel in C, and the module's variables that it names."""
+    found = _ENTRY.match(header)
+    if found is None:
+        raise UnknownPtxError(f"a function that is no kernel: {header[:120]}")
+    function = Function(found.group(1), globals=variables)
+    copies, size = [], 0
+    for number, parameter in enumerate(_parameters(found.group(2))):
+        function.params[parameter.name] = size = _aligned(size, max(parameter.align, 8))
+        copies.append(f"    memcpy((unsigned char *)params + {size}, args[{number}], {parameter.bytes});")
+        size += parameter.bytes
+    lines, _, shared_size = _body(function, body, first_line)
+    name = function.name
     c = [
         f"static Site sites_{name}[{max(function.sites, 1)}];",
         f"static void body_{name}(Thread *t) {{",
-        f"    Site *const sites = sites_{name};",
-        f"    _Alignas(16) unsigned char depot[{local}];",
-        f"    t->local = (u64)depot; t->local_end = (u64)depot + {local_size};",
-        "    const u64 param = t->param; (void)param; (void)sites;",
-        *declared,
         *lines,
         "}",
-        f"const u32 size_{name} = {params_size};",
+        f"const u32 size_{name} = {size};",
         f"void pack_{name}(void **args, void *params) {{",
         *copies,
         "}",
         f"int run_{name}(Launch *launch, void *params) {{",
-        f"    return run_grid(launch, body_{name}, {int(function.together)}, (u64)params, (u64)params + {params_size},",
+        f"    return run_grid(launch, body_{name}, {int(function.together)}, (u64)params, (u64)params + {size},",
         f"                    {shared_size});",
         "}",
     ]
@@ -188,6 +214,7 @@ def to_c(ptx: str) -> str:
     ptx = ptx.rstrip("\0")
     variables: dict[str, Variable] = {}
     parts: list[str] = []
+    said: list[str] = []
     used: set[str] = set()
     position = 0
     while match := re.compile(r"(\.visible|\.weak|\.entry|\.func|\.global|\.const|\.shared|\.extern)\b").search(
@@ -195,19 +222,26 @@ def to_c(ptx: str) -> str:
     ):
         start = match.start()
         end, brace = ptx.index(";", start), re.compile(r"^\{", re.MULTILINE).search(ptx, start)
+        called = re.match(r"(?:\.(?:visible|weak|extern)\s+)*\.func\b", ptx[start : start + 80])
         if brace is None or end < brace.start():
             variable = _variable(ptx[start:end])
-            if variable is None:
+            if variable is not None:
+                variables[variable.name] = variable
+            elif not called:  # else it is only said to come
                 raise UnknownPtxError(ptx[start:end][:120])
-            variables[variable.name] = variable
             position = end + 1
             continue
         close = re.compile(r"^\}", re.MULTILINE).search(ptx, brace.end())
-        assert close is not None, "a kernel's body ends"
-        first_line = ptx.count("\n", 0, brace.end()) + 1
-        c, names = _entry(ptx[start : brace.start()].strip(), ptx[brace.end() : close.start()], first_line, variables)
+        assert close is not None, "a function's body ends"
+        translated = _device_function if called else _entry
+        header, body = ptx[start : brace.start()].strip(), ptx[brace.end() : close.start()]
+        c, names = translated(header, body, ptx.count("\n", 0, brace.end()) + 1, variables)
+        if called:
+            said.append(re.sub(r" \{$", ";", c.split("\n")[1]))
         parts.append(c)
         used |= names
         position = close.end()
     held = [_initialised(variable) for name, variable in variables.items() if name in used]
-    return "\n".join(['#include "machine.h"', *held, *parts, ""])
+    own = [f"(a >= (u64){name} && a + n <= (u64){name} + sizeof {name})" for name in sorted(used)]
+    known = f"static int is_modules_own(u64 a, unsigned n) {{ return {' || '.join(own) or '0'}; }}"
+    return "\n".join(['#include "machine.h"', *held, known, *said, *parts, ""])
