@@ -7,7 +7,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from datagen.errors import InputError
-from fusion.pose.view_index import ViewIndex, halved_index
+from fusion.pose.view_index import ViewIndex
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -34,11 +34,6 @@ class SmallQuery:
         return float(self.middle[2])
 
 
-def halved_query(index: ViewIndex, query: SmallQuery) -> SmallQuery:
-    """Return a query as small as the views of ``halved_index``."""
-    return _on_device(halved_index(index), query.depth[::2, ::2], query.known[::2, ::2])
-
-
 def small_query(index: ViewIndex, depth: NDArray[np.float32], mask: NDArray[np.bool_] | None) -> SmallQuery:
     """Return a query's depth, and its mask if it has one, (height, width), as small as the index's views.
 
@@ -49,14 +44,10 @@ def small_query(index: ViewIndex, depth: NDArray[np.float32], mask: NDArray[np.b
     if mask is not None:
         known = mask[:: index.step, :: index.step]
         small = np.where(known, small, np.float32(0))
-    if not (small > 0).any():
+    points = index.points(small)
+    if len(points) == 0:
         where = "" if mask is None else " inside the mask"
         raise InputError(f"no pixel{where} has a valid depth, so there is no surface to compare")
-    return _on_device(index, small, known)
-
-
-def _on_device(index: ViewIndex, small: NDArray[np.float32], known: NDArray[np.bool_]) -> SmallQuery:
-    points = index.points(small)
     return SmallQuery(
         depth=small,
         known=known,

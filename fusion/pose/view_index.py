@@ -118,11 +118,6 @@ def seen_from(index: ViewIndex, poses: NDArray[np.float64]) -> ViewIndex:
     return replace(index, world_from_camera=poses, depth=depth, patches=patches, middles=np.zeros((len(poses), 3)))
 
 
-def halved_index(index: ViewIndex) -> ViewIndex:
-    """Return an index of every second pixel of every second row, without views and patches: to see the model with."""
-    return replace(index, camera=index.camera.subsampled(2), step=2 * index.step, rays=index.rays[::2, ::2])
-
-
 @wp.kernel
 def _see_patches(
     first: int,

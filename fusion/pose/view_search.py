@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from datagen.rigid import inverse
 from fusion.pose.pose_distance import first_apart, pose_distances
-from fusion.pose.small_query import SmallQuery, halved_query
-from fusion.pose.view_index import ViewIndex, halved_index, patch_differences, seen_from, turn_between, view_patches
+from fusion.pose.small_query import SmallQuery
+from fusion.pose.view_index import ViewIndex, patch_differences, seen_from, turn_between, view_patches
 from fusion.pose.view_registration import register
 
 APART = 0.3
@@ -33,8 +33,6 @@ _KEPT = 6
 
 _AGAIN_POINTS, _AGAIN_ITERATIONS = 1000, 6
 _AGAIN_GATES = (0.1, 0.05)
-_WORTH_MARGIN, _LEAST_KEPT = 1.0, 2
-"""Of the costs of alignments that are compared with the best in all pixels, and how many at least."""
 
 _LEAST_COST = 0.05
 """An outline that is off by a pixel of the small images costs as much: less says nothing."""
@@ -95,12 +93,8 @@ def align_all_over(index: ViewIndex, query: SmallQuery, known: Alignments) -> Al
     turns = np.argsort(np.concatenate([np.arange(len(every.poses)), np.arange(len(known.poses)) + 0.5]))
     poses = np.concatenate([every.poses, known.poses])[turns]
     best = poses[first_apart(poses, apart=APART, depth=query.typical_depth, most=_KEPT)]
-    # Again and again, for it may be moved far; first of fewer pixels, which tell what is worth it.
-    moved = _compared(halved_index(index), halved_query(index, query), best, gate=_AGAIN_GATES[0])
-    worth = moved.margins <= _WORTH_MARGIN
-    worth[:_LEAST_KEPT] = True
-    moved = _compared(index, query, moved.poses[worth], gate=_AGAIN_GATES[1])
-    return _compared(index, query, moved.poses, gate=_AGAIN_GATES[1])
+    # Twice, for it may be moved far.
+    return _compared(index, query, best, gates=_AGAIN_GATES)
 
 
 def align_where_they_are(index: ViewIndex, query: SmallQuery, known: Alignments) -> Alignments:
@@ -109,21 +103,27 @@ def align_where_they_are(index: ViewIndex, query: SmallQuery, known: Alignments)
     What the nearest view does not see of the model, and the query does, makes the cost of a right pose high until then.
     """
     best = known.poses[first_apart(known.poses, apart=APART, depth=query.typical_depth, most=2)]
-    return _compared(index, query, best, gate=_AGAIN_GATES[1])
+    return _compared(index, query, best, gates=_AGAIN_GATES[-1:])
 
 
-def _compared(index: ViewIndex, query: SmallQuery, poses: NDArray[np.float64], *, gate: float) -> Alignments:
-    """Align a query with the model as seen from ``poses`` (k, 4, 4) themselves."""
-    found = register(
-        seen_from(index, poses),
-        np.arange(len(poses)),
-        query,
-        np.tile(np.eye(4), (len(poses), 1, 1)),
-        points=_AGAIN_POINTS,
-        iterations=_AGAIN_ITERATIONS,
-        widest_gate=gate,
-    )
-    return _sorted(poses @ found.view_from_query, found.costs)
+def _compared(
+    index: ViewIndex, query: SmallQuery, poses: NDArray[np.float64], *, gates: tuple[float, ...]
+) -> Alignments:
+    """Align a query with the model as seen from ``poses`` (k, 4, 4) themselves, once for each of the ``gates``."""
+    same = np.tile(np.eye(4), (len(poses), 1, 1))
+    for gate in gates:
+        seen = seen_from(index, poses)
+        found = register(
+            seen,
+            np.arange(len(poses)),
+            query,
+            same,
+            points=_AGAIN_POINTS,
+            iterations=_AGAIN_ITERATIONS,
+            widest_gate=gate,
+        )
+        poses = poses @ found.view_from_query
+    return _sorted(poses, found.costs)
 
 
 def _by_similarity(index: ViewIndex, query: SmallQuery, *, apart: float, most: int) -> NDArray[np.int64]:
