@@ -31,7 +31,7 @@ _MODEL_NOISE_VOXELS = 0.12
 _INLIER_VOXELS = 1.5
 """A point is an inlier within this much of the surface, or within 3.5 standard deviations where that is more: no fused
 surface is to be trusted to less than a voxel everywhere."""
-SETTLED_FLOORS, _SURE_FLOORS, _ENOUGH_FLOORS = 0.3, 1.0, 0.05
+SETTLED_FLOORS, _SURE_FLOORS, _ENOUGH_FLOORS = 0.3, 0.3, 0.05
 """Of that deviation, the length of a step after which a pose has settled; up to which a step is taken though the cost
 rises, which is no smoother between the field's cells; and of one that is the last, since what is left is less still."""
 _EDGE_SHARE, _CUT_FROM = 0.02, 0.01
