@@ -33,6 +33,9 @@ _LESS, _MORE = wp.constant(wp.float64(5.0)), wp.constant(wp.float64(8.0))
 _LONGEST_TURN = wp.constant(wp.float64(0.35))
 """Radians a step: the linearisation of a rotation holds no farther."""
 
+_TERMS = wp.constant(14)
+"""Of a sine's series after its first: up to half a turn, the next is less than 1e-16."""
+
 _SUMS = wp.constant(SUMS)
 
 
@@ -113,33 +116,32 @@ def damped_step(sums: Sums64, damping: wp.float64, radius: wp.float64) -> wp.spa
 
 
 @wp.func
+def _from_term(first: int, square: wp.float64) -> wp.float64:
+    """Return the sum of (−square)ʲ / (first + 2 j)!, which needs no sine; exact up to half a turn."""
+    one = wp.float64(1.0)
+    total = one
+    for back in range(_TERMS):
+        last = first + 2 * (_TERMS - back)
+        total = one - square / wp.float64((last - 1) * last) * total
+    for factor in range(2, first + 1):
+        total /= wp.float64(factor)
+    return total
+
+
+@wp.func
 def exponential_of(turn: wp.vec3d) -> wp.mat33d:
     """Return the rotation by the vector ``turn`` (Rodrigues 1840)."""
-    angle = wp.length(turn)
-    square = angle * angle
-    one = wp.float64(1.0)
-    first = one - square / wp.float64(6.0) * (one - square / wp.float64(20.0))
-    second = wp.float64(0.5) - square / wp.float64(24.0) * (one - square / wp.float64(30.0))
-    if angle > wp.float64(1e-2):
-        first = wp.sin(angle) / angle
-        second = (one - wp.cos(angle)) / square
+    square = wp.dot(turn, turn)
     k = wp.skew(turn)
-    return wp.identity(n=3, dtype=wp.float64) + first * k + second * (k * k)
+    return wp.identity(n=3, dtype=wp.float64) + _from_term(1, square) * k + _from_term(2, square) * (k * k)
 
 
 @wp.func
 def left_jacobian(turn: wp.vec3d) -> wp.mat33d:
     """Return the matrix that takes a twist's v to the translation of its exponential (Solà and others 2018)."""
-    angle = wp.length(turn)
-    square = angle * angle
-    one = wp.float64(1.0)
-    second = wp.float64(0.5) - square / wp.float64(24.0) * (one - square / wp.float64(30.0))
-    third = (one - square / wp.float64(20.0) * (one - square / wp.float64(42.0))) / wp.float64(6.0)
-    if angle > wp.float64(1e-2):
-        second = (one - wp.cos(angle)) / square
-        third = (angle - wp.sin(angle)) / (square * angle)
+    square = wp.dot(turn, turn)
     k = wp.skew(turn)
-    return wp.identity(n=3, dtype=wp.float64) + second * k + third * (k * k)
+    return wp.identity(n=3, dtype=wp.float64) + _from_term(2, square) * k + _from_term(3, square) * (k * k)
 
 
 @wp.kernel

@@ -7,6 +7,7 @@ from three_balls import CAMERA, OFFSET, POSES, ball_model, see, sphere_points
 
 from datagen.camera import PinholeCamera
 from datagen.rigid import look_at
+from fusion.pose.depth_descent import DepthDescent
 from fusion.pose.model_field import FROM_VOLUME
 from fusion.pose.nearest_pose import find_nearest_pose
 from fusion.pose.normal_equations import TUKEY, Robustness, normal_equations, point_residuals
@@ -24,7 +25,15 @@ from ptx.coverage import never_ran
 MODULES = [
     f"fusion.pose.{stage}"
     for stage in (
-        *("coverage_kernel", "distance_grid", "model_field", "nearest_approach", "normal_equations", "shape_volume"),
+        *(
+            "coverage_kernel",
+            "depth_descent",
+            "distance_grid",
+            "model_field",
+            "nearest_approach",
+            "normal_equations",
+            "shape_volume",
+        ),
         *("soft_silhouette", "view_costs", "view_index", "view_overlap", "view_registration"),
     )
 ]
@@ -67,6 +76,20 @@ def test_the_normal_equations_of_a_view_are_the_same(models):
     assert (np.isfinite(residuals) == np.isfinite(residuals_there)).mean() > 0.999
     assert np.quantile(np.abs(residuals - residuals_there)[known], 0.999) < 1e-3
     assert np.abs(counts - counts_there).max() <= 0.001 * counts.sum(axis=1).max()
+
+
+def test_a_descent_by_depth_arrives_at_the_same_pose(models):
+    query = Query(camera=CAMERA, depth=see(POSES[0]))
+    start = perturb(np.full(6, 0.004), POSES[0], pivot_world=OFFSET)[None]
+    lengths = {"radius_m": 0.05, "floor": 0.001, "enough_m": 1e-5, "sure_m": 1e-4}
+    found = []
+    for model in models:
+        cloud = query_cloud(query, device=model.device)
+        descent = DepthDescent(model, cloud, poses=1, count=len(cloud.points), pivot_world=OFFSET, **lengths)
+        found.append(descent.descend(start, kind=TUKEY, scales=np.full(1, 0.02), iterations=20))
+    assert found[0].iterations < 20
+    # The last step is shorter than the length that is enough, and the rest of the way shorter than that.
+    np.testing.assert_allclose(found[1].poses, found[0].poses, atol=2 * lengths["enough_m"])
 
 
 def test_a_soft_silhouette_and_its_slopes_are_the_same(models):
