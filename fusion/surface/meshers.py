@@ -38,12 +38,12 @@ KERNEL_MODULES: dict[Mesher, tuple[str, ...]] = {
 
 _MERGING = (
     "snap_signs",
-    "extended_signs",
-    "tame_cells",
-    "merge_boxes",
-    "box_tree",
-    "box_quads",
-    "box_flatness",
+    "cell_merging.extended_signs",
+    "cell_merging.tame_cells",
+    "cell_merging.merge_boxes",
+    "cell_merging.box_tree",
+    "cell_merging.box_quads",
+    "cell_merging.box_flatness",
 )
 
 

@@ -55,8 +55,9 @@ MODULES = [
         for stage in (
             *("cell_points", "cells_from_faces", "close_gaps", "depth_oracle", "edge_points", "face_words"),
             *("find_grid", "frame_choice", "pins", "quad_corners", "quads", "rim", "rim_polygons", "rim_vertices"),
-            *("box_flatness", "box_quads", "box_tree", "merge_boxes", "several_loops", "snap_signs", "tame_cells"),
-            "extended_signs",
+            *("several_loops", "snap_signs"),
+            *(f"cell_merging.box_{stage}" for stage in ("flatness", "quads", "tree")),
+            *(f"cell_merging.{stage}" for stage in ("extended_signs", "merge_boxes", "tame_cells")),
         )
     ),
 ]

@@ -111,7 +111,7 @@ def test_voxels_are_the_same(cpu, cuda, options, steps, record_property):
     seen, clear = reference[:, 1] > 0, own_change < BOUND
     assert seen.sum() > 5000
     assert clear[seen].mean() > 0.8
-    record_property("largest difference", difference[clear].max())
+    record_property("largest difference", float(difference[clear].max()))
     assert difference[clear].max() <= BOUND
     assert (difference <= BOUND + own_change).all()
 

@@ -7,12 +7,12 @@ those at the rim last. So nothing depends on which thread is first.
 """
 
 from fusion.devices import Kernel
+from fusion.surface.dual_contouring.cell_merging.merge_cells import merge_cells, without_unused_vertices
 from fusion.surface.dual_contouring.cell_points import cell_points
 from fusion.surface.dual_contouring.close_gaps import close_gaps
 from fusion.surface.dual_contouring.edge_points import edge_points, search_kernel
 from fusion.surface.dual_contouring.face_points import face_kernel, face_points
 from fusion.surface.dual_contouring.find_grid import find_grid
-from fusion.surface.dual_contouring.merge_cells import merge_cells, without_unused_vertices
 from fusion.surface.dual_contouring.oracle import Oracle
 from fusion.surface.dual_contouring.pins import place_pins
 from fusion.surface.dual_contouring.quad_corners import quad_corners

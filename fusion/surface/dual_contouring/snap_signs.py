@@ -10,9 +10,9 @@ import copy
 import warp as wp
 
 from fusion.surface.cells import find_cells, find_crossings
+from fusion.surface.dual_contouring.cell_merging.tame_cells import all_of
 from fusion.surface.dual_contouring.oracle import is_known
 from fusion.surface.dual_contouring.signs import corners_of_active
-from fusion.surface.dual_contouring.tame_cells import all_of
 from fusion.surface.layers import NONE, Cells, corners_back, corners_on, launch_over_layers, lowest_bit, number_of
 from fusion.volume.tsdf_volume import ARRAYS, Volume
 from fusion.volume.voxels import Voxels, distance_of

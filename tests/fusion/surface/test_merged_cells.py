@@ -8,7 +8,7 @@ from mesh_topology import edge_uses, is_closed, is_manifold, self_intersections
 
 from fusion.evaluation.evaluate import sample_surface
 from fusion.surface.closest_points import closest_points
-from fusion.surface.dual_contouring.box_quads import cut_quads_of_boxes
+from fusion.surface.dual_contouring.cell_merging.box_quads import cut_quads_of_boxes
 from fusion.surface.dual_contouring.dual_contouring import dual_contouring
 from fusion.surface.marching_cubes import marching_cubes
 
@@ -180,8 +180,10 @@ def test_nothing_makes_nothing(device):
 
 def test_boxes_that_do_not_see_each_other_make_meshes_meet_themselves(device, monkeypatch):
     # What the tests above count is there where no box is split.
-    monkeypatch.setattr("fusion.surface.dual_contouring.merge_cells.BoxFlatness.refuse_far", lambda *_: False)
-    monkeypatch.setattr("fusion.surface.dual_contouring.merge_cells.cut_quads_of_boxes", cut_and_forget)
+    monkeypatch.setattr(
+        "fusion.surface.dual_contouring.cell_merging.merge_cells.BoxFlatness.refuse_far", lambda *_: False
+    )
+    monkeypatch.setattr("fusion.surface.dual_contouring.cell_merging.merge_cells.cut_quads_of_boxes", cut_and_forget)
     volumes = [random_solid(np.random.default_rng(seed)).volume(0.05, device) for seed in range(4)]
     assert sum(self_intersections(dual_contouring(volume, flatness=0.3)) for volume in volumes) > 0
 

@@ -7,9 +7,9 @@ then the mesh might meet itself (``box_quads``); and where it is off the mesh of
 import numpy as np
 import warp as wp
 
-from fusion.surface.dual_contouring.box_flatness import BoxFlatness
-from fusion.surface.dual_contouring.box_quads import cut_quads_of_boxes
-from fusion.surface.dual_contouring.box_tree import BoxTree
+from fusion.surface.dual_contouring.cell_merging.box_flatness import BoxFlatness
+from fusion.surface.dual_contouring.cell_merging.box_quads import cut_quads_of_boxes
+from fusion.surface.dual_contouring.cell_merging.box_tree import BoxTree
 from fusion.surface.dual_contouring.dual_grid import DualGrid
 from fusion.surface.dual_contouring.quads import Cuts, count_anew
 from fusion.surface.dual_contouring.vertices import Vertices

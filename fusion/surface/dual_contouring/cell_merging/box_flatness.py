@@ -11,8 +11,8 @@ import warp as wp
 from numpy.typing import NDArray
 
 from fusion.devices import launch_in_slabs
-from fusion.surface.dual_contouring.box_tree import BoxTree
-from fusion.surface.dual_contouring.boxes import Boxes
+from fusion.surface.dual_contouring.cell_merging.box_tree import BoxTree
+from fusion.surface.dual_contouring.cell_merging.boxes import Boxes
 from fusion.surface.dual_contouring.cell_table import COUNT_SHIFT
 from fusion.surface.dual_contouring.dual_grid import DualGrid, complete_along, first_vertex
 from fusion.surface.dual_contouring.quad_split import FAN, WITHOUT_CORNER

@@ -2,8 +2,8 @@
 
 import warp as wp
 
-from fusion.surface.dual_contouring.box_topology import is_disc
-from fusion.surface.dual_contouring.boxes import (
+from fusion.surface.dual_contouring.cell_merging.box_topology import is_disc
+from fusion.surface.dual_contouring.cell_merging.boxes import (
     EMPTY,
     LEVELS,
     MERGED,
@@ -13,11 +13,11 @@ from fusion.surface.dual_contouring.boxes import (
     corner_of_box,
     word_of_box,
 )
+from fusion.surface.dual_contouring.cell_merging.tame_cells import CellWords
 from fusion.surface.dual_contouring.cell_table import CellTables, cell_tables
 from fusion.surface.dual_contouring.dual_grid import DualGrid, first_vertex
 from fusion.surface.dual_contouring.lanes import ONE_LANE_IN_CPP
 from fusion.surface.dual_contouring.qef import QEF_IN_CPP
-from fusion.surface.dual_contouring.tame_cells import CellWords
 from fusion.surface.layers import NONE, launch_over_layers, lowest_bit
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})

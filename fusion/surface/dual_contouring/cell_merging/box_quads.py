@@ -13,7 +13,7 @@ Coordinates are from the low end of the quad's own edge between voxels: along th
 
 import warp as wp
 
-from fusion.surface.dual_contouring.boxes import Boxes
+from fusion.surface.dual_contouring.cell_merging.boxes import Boxes
 from fusion.surface.dual_contouring.dual_grid import DualGrid, complete_along
 from fusion.surface.dual_contouring.lanes import ONE_LANE_IN_CPP
 from fusion.surface.dual_contouring.quad_split import FAN, NOTHING, SPLIT_IN_CPP, WITHOUT_CORNER

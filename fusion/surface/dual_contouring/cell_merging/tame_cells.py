@@ -6,8 +6,8 @@ complete. So what needs vertices on faces, and the border of what was seen, stay
 
 import warp as wp
 
+from fusion.surface.dual_contouring.cell_merging.extended_signs import extended_signs
 from fusion.surface.dual_contouring.dual_grid import DualGrid
-from fusion.surface.dual_contouring.extended_signs import extended_signs
 from fusion.surface.dual_contouring.rim import rim_along
 from fusion.surface.dual_contouring.several_loops import maybe_several
 from fusion.surface.layers import NONE, corners_back, corners_on, launch_over_layers

@@ -4,7 +4,7 @@ from typing import Any
 
 import warp as wp
 
-from fusion.surface.dual_contouring.boxes import (
+from fusion.surface.dual_contouring.cell_merging.boxes import (
     BOXES,
     LEVELS,
     MERGED,
@@ -16,9 +16,9 @@ from fusion.surface.dual_contouring.boxes import (
     level_at,
     word_of_box,
 )
+from fusion.surface.dual_contouring.cell_merging.merge_boxes import merge_boxes
+from fusion.surface.dual_contouring.cell_merging.tame_cells import CellWords, find_tame_cells
 from fusion.surface.dual_contouring.dual_grid import DualGrid, first_vertex
-from fusion.surface.dual_contouring.merge_boxes import merge_boxes
-from fusion.surface.dual_contouring.tame_cells import CellWords, find_tame_cells
 from fusion.surface.dual_contouring.vertices import VertexArrays, Vertices, as_bytes
 from fusion.surface.layers import NONE, launch_over_layers, lowest_bit, number_of
 from fusion.volume.tsdf_volume import Volume

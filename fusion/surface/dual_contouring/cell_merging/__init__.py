@@ -1,0 +1,1 @@
+"""Boxes of cells that one vertex serves, where the surface is flat."""
