@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from fusion.evaluation.sharp_edges import seen_sharp_edges, sharp_edge_error, smooth_error
 from fusion.report.close_up import close_up
-from fusion.report.mesher_findings import DECIMATED_TO, Outcome, Outcomes, findings
+from fusion.report.mesher_findings import DECIMATED_TO, FLATNESS, Outcome, Outcomes, findings
 from fusion.report.panels import (
     Figure,
     Numbers,
@@ -28,6 +28,8 @@ from fusion.surface.mesh_operations import decimate
 SMOOTH_VOXELS = 2.0
 """From a sharp edge; what is farther counts as smooth."""
 
+COLUMNS = 3
+
 
 @dataclass(frozen=True, kw_only=True)
 class Way:
@@ -46,6 +48,11 @@ WAYS = (
     Way(key="marching-cubes", title="marching cubes", changes=CUBES),
     Way(key="dual-contouring", title="dual contouring of the volume", changes=VOLUME),
     Way(key="dual-contouring-depth", title="dual contouring of the depth images", changes=DEPTH),
+    Way(
+        key="dual-contouring-depth-merged",
+        title=f"dual contouring of the depth images, cells merged where flat to {FLATNESS:g} voxels",
+        changes={**DEPTH, "flatness": FLATNESS},
+    ),
     Way(key="marching-cubes-coarse", title="marching cubes, voxels twice as large", changes=CUBES, coarser=2),
     Way(
         key="dual-contouring-depth-coarse",
@@ -84,12 +91,13 @@ def meshers(subject: Subject) -> Figure:
         "that were fused into it, which still have what voxels have rounded. The close-ups show where marching cubes "
         "and dual contouring of the depth images differ most.",
         panels=tuple(panels),
-        columns=len(panels),
+        columns=COLUMNS,
         findings=findings(
             Outcomes(
                 cubes=cubes,
                 volume=outcomes["dual-contouring"],
                 depth=depth,
+                merged=outcomes["dual-contouring-depth-merged"],
                 coarse_cubes=outcomes["marching-cubes-coarse"],
                 coarse_depth=outcomes["dual-contouring-depth-coarse"],
             ),

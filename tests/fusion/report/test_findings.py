@@ -37,7 +37,7 @@ def test_vertices_for_an_error_follow_the_law_through_two_meshes():
 )
 def test_what_is_expensive_follows_from_the_times(seconds, answer):
     cubes, volume, depth = (outcome(seconds=each) for each in seconds)
-    every = Outcomes(cubes=cubes, volume=volume, depth=depth, coarse_cubes=cubes, coarse_depth=depth)
+    every = outcomes(cubes=cubes, volume=volume, depth=depth)
     assert expensive(every, on_gpu=False)[0].startswith(f"Expensive? {answer}")
 
 
@@ -45,7 +45,7 @@ def test_what_is_cleaner_follows_from_the_errors():
     cubes, near, far = (outcome(sharp=error) for error in (1.0, 0.5, 1.5))
 
     def answer(volume, depth):
-        return cleaner(Outcomes(cubes=cubes, volume=volume, depth=depth, coarse_cubes=cubes, coarse_depth=depth))[0]
+        return cleaner(outcomes(cubes=cubes, volume=volume, depth=depth))[0]
 
     assert answer(near, near) == "Cleaner? Yes."
     assert answer(far, near) == "Cleaner? Yes where the depth images are asked, not by the volume alone."
@@ -56,22 +56,30 @@ def test_what_is_cleaner_follows_from_the_errors():
 def test_fewer_polygons_for_the_same_error_are_told_from_fewer_on_the_same_voxels():
     cubes, coarse_cubes = outcome(vertices=4000, chamfer=0.25), outcome(vertices=1000, chamfer=1.0)
 
-    def answer(depth, coarse_depth):
-        every = Outcomes(cubes=cubes, volume=cubes, depth=depth, coarse_cubes=coarse_cubes, coarse_depth=coarse_depth)
-        return lower_in_polygons(every)[0]
+    def answer(depth, coarse_depth, merged=cubes):
+        coarse = {"coarse_cubes": coarse_cubes, "coarse_depth": coarse_depth}
+        return lower_in_polygons(outcomes(cubes=cubes, depth=depth, merged=merged, **coarse))[0]
 
     exact, alike = outcome(vertices=1000, chamfer=0.3), outcome(vertices=1000, chamfer=1.0)
     assert answer(outcome(vertices=2000), exact) == "Lower in polygons? Yes."
     assert answer(cubes, exact) == "Lower in polygons? Not on the same voxels; for the same error, yes."
     assert answer(cubes, alike) == "Lower in polygons? No."
+    few, worse = outcome(vertices=1000, chamfer=0.2), outcome(vertices=1000, chamfer=0.3)
+    assert answer(cubes, alike, few) == "Lower in polygons? Yes where cells are merged, at no greater error."
+    assert answer(cubes, alike, worse) == "Lower in polygons? No."
 
 
 def test_what_decimation_leaves_of_the_error_is_told_of_all_three():
     cubes, volume, depth = (outcome(vertices=4000, chamfer=error) for error in (0.25, 0.2, 0.1))
-    every = Outcomes(cubes=cubes, volume=volume, depth=depth, coarse_cubes=outcome(), coarse_depth=outcome())
-    told = lower_in_polygons(every)[1]
+    told = lower_in_polygons(outcomes(cubes=cubes, volume=volume, depth=depth))[1]
     assert "25 % of the triangles" in told
     assert told.index("500 mm (m") < told.index("400 mm (by the v") < told.index("200 mm (by the d")
+
+
+def outcomes(**given):
+    """Outcomes of which only some matter."""
+    names = ("cubes", "volume", "depth", "merged", "coarse_cubes", "coarse_depth")
+    return Outcomes(**{name: given.get(name, outcome()) for name in names})
 
 
 def outcome(*, vertices=1000, chamfer=1.0, seconds=1.0, sharp=None):

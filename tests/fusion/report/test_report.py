@@ -61,7 +61,7 @@ def test_the_numbers_on_the_page_are_those_of_the_records(reported):
     assert {record.frames for record in records} == {3, 6, 12}
     assert len({record.voxel_size_m for record in records}) == 4
     assert len({record.truncation_m for record in records}) == 5
-    assert len(records) == 10 + 5  # none of them twice: ten fused, and five meshed from two of these
+    assert len(records) == 10 + 6  # none of them twice: ten fused, and six meshed from two of these
     for path, record in zip(paths, records, strict=True):
         assert f"<dd>{record.vertices:,}</dd>" in page
         assert f"<dd>{duration(json.loads((path.parent / runs.TIMING_FILE).read_text())['mesh_seconds'])}" in page
@@ -115,7 +115,7 @@ def test_a_volume_is_kept_no_longer_than_it_is_meshed(reported):
 
 
 def test_an_interrupted_figure_goes_on(reported, tmp_path, monkeypatch):
-    # One of the five meshes is lost: it alone is meshed again, from the volume that is fused again.
+    # One of the six meshes is lost: it alone is meshed again, from the volume that is fused again.
     shutil.copytree(reported / "ball", tmp_path / "ball")
     shutil.copytree(reported / "out", tmp_path / "out")
     lost = next(
@@ -141,10 +141,13 @@ def test_what_dual_contouring_costs_and_gains_is_said_with_the_numbers_of_its_re
     for path in (reported / "out").glob("runs/ball/meshed-*/reconstruction.json"):
         record = read_record(path.parent)
         seconds = json.loads((path.parent / runs.TIMING_FILE).read_text())["mesh_seconds"]
-        made[record.config["mesher"], record.config["oracle"], record.voxel_size_m] = record, seconds
-    cubes, coarse = made["marching-cubes", "depth", 0.02], made["dual-contouring", "depth", 0.04]
+        config = record.config
+        made[config["mesher"], config["oracle"], config["flatness"], record.voxel_size_m] = record, seconds
+    cubes, coarse = made["marching-cubes", "depth", 0, 0.02], made["dual-contouring", "depth", 0, 0.04]
+    merged = made["dual-contouring", "depth", 0.05, 0.02][0]
+    assert f"flat to 0.05 voxels, {100 * merged.vertices / cubes[0].vertices:.0f} %" in page
     assert f"On voxels twice as large it has {coarse[0].vertices:,} vertices" in page
-    times = made["dual-contouring", "volume", 0.02][1] / cubes[1]
+    times = made["dual-contouring", "volume", 0, 0.02][1] / cubes[1]
     assert f"dual contouring by the volume {ratio(times)} times" in page
     # A ball has no sharp edges, and all of it is smooth.
     assert "<dt>smooth parts</dt>" in page
