@@ -109,6 +109,49 @@ def closest_passing(mesh: wp.uint64, eye: wp.vec3, ray: wp.vec3, start: wp.vec3,
     return best
 
 
+@wp.struct
+class Neighbours:
+    """Of a pixel's neighbours whose rays hit the mesh: the nearest and the farthest, perhaps of different parts of it.
+
+    ``near`` and ``far`` are planar depths, metres, ``far`` 0 where there is none; the hits are in the world.
+    """
+
+    near: float
+    near_hit: wp.vec3
+    far: float
+    far_hit: wp.vec3
+
+
+@wp.func
+def neighbours_within(
+    pixels: wp.array(dtype=wp.vec2),
+    place: wp.vec2i,
+    held: wp.array2d(dtype=int),
+    hits: wp.array(dtype=float),
+    first_hit: int,
+    intrinsics: wp.vec4,
+    rotation: wp.mat33,
+    eye: wp.vec3,
+) -> Neighbours:
+    """Return what the eight around a place hit; a pose's ``hits`` begin at ``first_hit``."""
+    found = Neighbours()
+    found.near = _NOWHERE
+    for row in range(wp.max(place[0] - 1, 0), wp.min(place[0] + 2, held.shape[0])):
+        for column in range(wp.max(place[1] - 1, 0), wp.min(place[1] + 2, held.shape[1])):
+            neighbour = held[row, column]
+            if neighbour >= 0:
+                t = hits[first_hit + neighbour]
+                if t > 0.0:
+                    hit = eye + t * ray_through(pixels[neighbour], intrinsics, rotation)
+                    if t < found.near:
+                        found.near = t
+                        found.near_hit = hit
+                    if t > found.far:
+                        found.far = t
+                        found.far_hit = hit
+    return found
+
+
 @wp.kernel
 def _find_hits(
     first: int,
@@ -156,31 +199,13 @@ def _find_approaches(
         return
     rotation = rotations[pose]
     eye = eyes[pose]
-    place = places[pixel]
-    # Of the neighbours within: the nearest and the farthest, which may be of different parts of the model.
-    near = float(_NOWHERE)
-    far = float(0.0)
-    near_hit = wp.vec3()
-    far_hit = wp.vec3()
-    for row in range(wp.max(place[0] - 1, 0), wp.min(place[0] + 2, held.shape[0])):
-        for column in range(wp.max(place[1] - 1, 0), wp.min(place[1] + 2, held.shape[1])):
-            neighbour = held[row, column]
-            if neighbour >= 0:
-                t = hits[neighbour + index - pixel]
-                if t > 0.0:
-                    hit = eye + t * ray_through(pixels[neighbour], intrinsics, rotation)
-                    if t < near:
-                        near = t
-                        near_hit = hit
-                    if t > far:
-                        far = t
-                        far_hit = hit
-    if far == 0.0:
+    beside = neighbours_within(pixels, places[pixel], held, hits, index - pixel, intrinsics, rotation, eye)
+    if beside.far == 0.0:
         return
     ray = ray_through(pixels[pixel], intrinsics, rotation)
-    passing = closest_passing(mesh, eye, ray, near_hit, enough)
-    if far > (1.0 + _OTHER_LAYER) * near:
-        other = closest_passing(mesh, eye, ray, far_hit, enough)
+    passing = closest_passing(mesh, eye, ray, beside.near_hit, enough)
+    if beside.far > (1.0 + _OTHER_LAYER) * beside.near:
+        other = closest_passing(mesh, eye, ray, beside.far_hit, enough)
         if other.distance * passing.t < passing.distance * other.t:
             passing = other
     if passing.t <= 0.0 or passing.distance < 1.0e-6:
