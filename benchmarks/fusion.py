@@ -1,7 +1,7 @@
 """Ours against Open3D: the same frames, in turn, in one run.
 
-    python benchmarks/fusion.py DATASET --voxel-size 0.02 --truncation 0.06 --frames 0:200
-    python benchmarks/fusion.py DATASET --voxel-size 0.02 --truncation 0.06 --frames 0:200 --from-disk
+    python -m benchmarks.fusion DATASET --voxel-size 0.02 --truncation 0.06 --frames 0:200
+    python -m benchmarks.fusion DATASET --voxel-size 0.02 --truncation 0.06 --frames 0:200 --from-disk
 
 The first compares integration and meshing, the frames decoded beforehand; the second the whole way from the folder to a
 mesh on disk. Each contender runs in a process of its own, so that its peak memory is its own; rounds alternate between
@@ -23,10 +23,6 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-
-# Run as a script, this file's own name would hide the package that it measures.
-sys.path[:] = [entry for entry in sys.path if Path(entry or ".").resolve() != Path(__file__).resolve().parent]
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks import contenders, contenders_from_disk
 from benchmarks.peak_memory import PeakMemory
@@ -110,7 +106,8 @@ def compare(options, arguments):
             mesh.parent.mkdir()
         for round_number in range(options.rounds):
             for name, runs in results.items():
-                command = [sys.executable, __file__, *arguments, "--contender", name, "--mesh", str(meshes[name])]
+                command = [sys.executable, "-m", "benchmarks.fusion", *arguments]
+                command += ["--contender", name, "--mesh", str(meshes[name])]
                 done = subprocess.run(command, capture_output=True, text=True, check=False)
                 if done.returncode != 0:
                     raise SystemExit(f"{name} failed:\n{done.stderr[-3000:]}")

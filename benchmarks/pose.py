@@ -1,8 +1,8 @@
 """How often, how exactly and how fast is a view located? Ours, Open3D's ICP and small_gicp from the same starts.
 
     fusion pose-benchmark DATASET OUT
-    python benchmarks/pose.py DATASET OUT
-    python benchmarks/pose.py DATASET OUT --trials off-40,noisy --frames ::10
+    python -m benchmarks.pose DATASET OUT
+    python -m benchmarks.pose DATASET OUT --trials off-40,noisy --frames ::10
 
 Models, queries, starts, noise and errors are those of ``fusion pose-benchmark``, whose folder OUT is: what it fused is
 not fused again. Every contender gets the same task. The peers get the model's vertices with their normals and colours
@@ -15,15 +15,10 @@ Times are processor time over the cores that ``--cores`` says share it, so that 
 """
 
 import argparse
-import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-
-# Run as a script, this folder would hide the package that it measures: it has a file of that name.
-sys.path[:] = [entry for entry in sys.path if Path(entry or ".").resolve() != Path(__file__).resolve().parent]
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from datagen.atomic_write import write_json
 from datagen.errors import InputError

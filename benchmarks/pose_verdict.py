@@ -1,10 +1,10 @@
 """How often is a pose said to be found that is not, and not found that is? And which bounds would say so best?
 
-    python benchmarks/pose_verdict.py out/held.json                          # shapes that no bound was chosen on
-    python benchmarks/pose_verdict.py out/chosen.json --shapes chosen        # those that bounds are chosen on
-    python benchmarks/pose_verdict.py out/scans.json --shapes none --meshes data/*/ground_truth/mesh.ply
-    python benchmarks/pose_verdict.py out/real.json --shapes none --ycb-video data/ycbv
-    python benchmarks/pose_verdict.py out/*.json --only-table
+    python -m benchmarks.pose_verdict out/held.json                          # shapes that no bound was chosen on
+    python -m benchmarks.pose_verdict out/chosen.json --shapes chosen        # those that bounds are chosen on
+    python -m benchmarks.pose_verdict out/scans.json --shapes none --meshes data/*/ground_truth/mesh.ply
+    python -m benchmarks.pose_verdict out/real.json --shapes none --ycb-video data/ycbv
+    python -m benchmarks.pose_verdict out/*.json --only-table
 
 Every model is looked for in views of itself and in views of all others, as ``fusion locate`` does with a CAD model. The
 shapes are random solids: boxes, ellipsoids, cylinders and rings, joined or cut out of each other, whose numbers make
@@ -20,243 +20,19 @@ verdicts, the rates with their 95 % bounds (Clopper and Pearson), and the bounds
 
 import argparse
 import json
-import sys
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
+from scipy import stats
 
-# Run as a script, this folder would hide the package that it measures: it has a file of that name.
-sys.path[:] = [entry for entry in sys.path if Path(entry or ".").resolve() != Path(__file__).resolve().parent]
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from scipy import ndimage, stats
-from skimage.measure import marching_cubes
-
+from benchmarks.random_solids import centred, random_solid
+from benchmarks.verdict_cases import Case, cases_of_meshes, cases_of_ycb_video
 from datagen.atomic_write import write_json
-from datagen.camera import PinholeCamera
-from datagen.errors import InputError
-from datagen.rigid import inverse, look_at, transform_points
 from fusion.devices import resolve_device
-from fusion.evaluation.pose_errors import ModelPoints, average_nearest_distance
-from fusion.evaluation.symmetries import symmetry_transforms
-from fusion.pose.cad_model import CadModel, views_around
-from fusion.pose.confidence import assess
-from fusion.pose.nearest_pose import find_nearest_pose
-from fusion.pose.nearest_silhouette import find_nearest_outline
-from fusion.pose.pose_model import PoseModel, prepare_model
-from fusion.pose.query import Query
-from fusion.pose.se3 import exp_se3
-from fusion.pose.stages import default_stages, refine
-from fusion.pose.verdict import quality
-from fusion.pose.view_index import ViewIndex, index_views
-from fusion.pose_benchmark.scanned_subject import surface_sample
-from fusion.pose_benchmark.views import Noise, View, spoiled
-from fusion.pose_benchmark.ycb_video import ycb_video_subjects
-from fusion.surface.mesh import Mesh
 from fusion.surface.mesh_files import read_mesh
-from fusion.surface.mesh_ray_casting import cast_rays_at_mesh
 
-CAMERA = PinholeCamera(width=320, height=240, fx=444.0, fy=444.0, cx=159.5, cy=119.5)
 FIRST_NUMBER = {"chosen": 100, "held": 200}
-RIGHT_WITHIN = 0.02
-TWIN = 4 / 3
-_NODES = 96
-_POINTS = 2000
-
-
-# --- shapes -----------------------------------------------------------------------------------------------------------
-
-
-def ellipsoid(points, size):
-    return (np.linalg.norm(points / size, axis=-1) - 1) * size.min()
-
-
-def box(points, size):
-    return (np.abs(points) - size).max(axis=-1)
-
-
-def cylinder(points, size):
-    return np.maximum(np.hypot(points[..., 0], points[..., 1]) - size[0], np.abs(points[..., 2]) - size[2])
-
-
-def ring(points, size):
-    around = np.hypot(points[..., 0], points[..., 1]) - size.max()
-    return np.hypot(around, points[..., 2]) - 0.35 * size.max()
-
-
-def random_solid(number, *, twin=False):
-    """Return the mesh of a random solid, 0.2 to 0.3 m large; a twin's last part is larger."""
-    rng = np.random.default_rng(number)
-    line = np.linspace(-1, 1, _NODES)
-    grid = np.stack(np.meshgrid(line, line, line, indexing="ij"), axis=-1)
-    parts, inside = int(rng.integers(2, 5)), None
-    for part in range(parts):
-        size = rng.uniform(0.12, 0.45, 3) * (TWIN if twin and part == parts - 1 else 1)
-        place = np.eye(4) if part == 0 else exp_se3(np.concatenate([np.zeros(3), rng.normal(size=3)]))
-        place[:3, 3] = 0 if part == 0 else rng.uniform(-0.35, 0.35, 3)
-        shape = (box, ellipsoid, cylinder, ring)[rng.integers(4)]
-        value = shape(transform_points(inverse(place), grid.reshape(-1, 3)).reshape(grid.shape), size)
-        cut = part > 0 and rng.random() < 0.25
-        inside = value if inside is None else np.maximum(inside, -value) if cut else np.minimum(inside, value)
-    # One piece, the largest: what floats beside it is no part of an object.
-    pieces, count = ndimage.label(inside < 0)
-    sizes = ndimage.sum_labels(inside < 0, pieces, np.arange(1, count + 1))
-    alone = np.where((inside < 0) & (pieces != 1 + int(np.argmax(sizes))), -inside, inside)
-    alone = np.pad(alone, 1, constant_values=1.0)
-    vertices, triangles, _normals, _values = marching_cubes(alone, 0.0)
-    vertices = vertices * (line[1] - line[0])
-    return centred(vertices, triangles, rng.uniform(0.2, 0.3))
-
-
-def centred(vertices, triangles, diameter):
-    extent = np.ptp(vertices, axis=0)
-    vertices = (vertices - vertices.min(axis=0) - extent / 2) * (diameter / np.linalg.norm(extent))
-    return Mesh(vertices=vertices.astype(np.float32), triangles=np.ascontiguousarray(triangles, np.int32))
-
-
-# --- views and models -------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Model:
-    """What is looked for."""
-
-    name: str
-    model: PoseModel
-    index: ViewIndex
-    points: ModelPoints
-
-
-def model_of(name, model, camera, points):
-    index = index_views(
-        model.mesh, views_around(model.centre_world, model.diameter, camera), camera, device=model.device
-    )
-    return Model(
-        name=name, model=model, index=index, points=ModelPoints(points=points, symmetries=symmetry_transforms())
-    )
-
-
-def cad_model(name, mesh, device):
-    cad = CadModel(source=name, mesh=mesh, points=mesh.vertices.astype(float))
-    model = prepare_model(cad.volume(device=device), outline=mesh)
-    return model_of(name, model, CAMERA, surface_sample(mesh, _POINTS))
-
-
-def random_view(mesh, rng, device):
-    """Return a view of a mesh as a scanner or a segmentation would have it, and what was done to it."""
-    diameter = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
-    way = rng.normal(size=3)
-    # A Kinect sees nothing nearer than half a metre.
-    eye = way / np.linalg.norm(way) * max(diameter * rng.uniform(2.2, 4), 0.5 + diameter)
-    pose = look_at(eye, 0.05 * diameter * rng.normal(size=3), up=rng.normal(size=3))
-    depth = cast_rays_at_mesh(mesh, CAMERA, [pose], device=device, depth_only=True).depth.numpy()[0]
-    mask = depth > 0
-    wall = bool(rng.random() < 0.5)
-    if wall:
-        normal = np.array([0.5 * rng.normal(), 0.5 * rng.normal(), -1])
-        middle = transform_points(inverse(pose), np.zeros(3)) + np.array([0, 0, 0.5 * diameter])
-        behind = (middle @ normal) / (CAMERA.back_project(np.ones(depth.shape)) @ normal)
-        depth = np.where(mask, depth, np.where((behind > 0) & (behind < 5), behind, 0)).astype(np.float32)
-    color = np.zeros((*depth.shape, 3), np.uint8)
-    view = View(camera=CAMERA, color=color, depth=depth, mask=mask, world_from_camera=pose)
-    spoilt = bool(rng.random() < 0.5)
-    return (spoiled(view, Noise(), rng=rng) if spoilt else view), wall, spoilt
-
-
-def queries_of(view, *, wall):
-    yield "depth, mask", Query(camera=view.camera, depth=view.depth, mask=view.mask)
-    if not wall:
-        yield "depth", Query(camera=view.camera, depth=view.depth)
-    yield "mask", Query(camera=view.camera, mask=view.mask)
-
-
-# --- cases ------------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, kw_only=True)
-class Case:
-    """A model looked for in a view: ``error`` is ADD-S over the diameter, None of a wrong object."""
-
-    model: str
-    object: str
-    sees: str
-    spoilt: bool
-    answer: str
-    quality: float
-    settled: bool
-    error: float | None
-    evidence: dict
-
-    @property
-    def truth(self):
-        if self.error is None:
-            return "twin" if self.model.removesuffix("'") == self.object.removesuffix("'") else "wrong object"
-        return "right pose" if self.error < RIGHT_WITHIN else "wrong pose"
-
-
-def locate(wanted, query):
-    """Return the pose and what is said of it, as ``fusion locate`` has them; None where nothing is there to start."""
-    try:
-        if query.depth is None:
-            start = find_nearest_outline(wanted.index, wanted.model, query).estimate
-        else:
-            start = find_nearest_pose(wanted.index, query.depth, mask=query.mask).estimate
-    except InputError:
-        return None
-    results = refine(wanted.model, query, [], start, default_stages(has_depth=query.depth is not None, has_color=False))
-    return results[-1], assess(wanted.model, query, results)
-
-
-def case_of(wanted, name, sees, query, truth, *, spoilt):
-    told = locate(wanted, query)
-    if told is None:
-        return None
-    found, confidence = told
-    error = None
-    if name == wanted.name:
-        there = inverse(truth)
-        error = average_nearest_distance(inverse(found.world_from_camera), there, wanted.points)
-        error = float(error / wanted.points.diameter)
-    return Case(
-        model=wanted.name,
-        object=name,
-        sees=sees,
-        spoilt=spoilt,
-        answer=confidence.verdict.answer,
-        quality=quality(confidence.evidence),
-        settled=found.converged,
-        error=error,
-        evidence={key: value for key, value in asdict(confidence.evidence).items() if value is not None},
-    )
-
-
-def cases_of_meshes(meshes, options, device):
-    """Yield the cases of each mesh looked for in views of all; the same view is shown to all models."""
-    for number, (name, mesh) in enumerate(meshes.items()):
-        wanted = cad_model(name, mesh, device)
-        for other, (shown, shape) in enumerate(meshes.items()):
-            for k in range(options.right if other == number else options.wrong):
-                view, wall, spoilt = random_view(shape, np.random.default_rng([options.seed, other, k]), device)
-                for sees, query in queries_of(view, wall=wall):
-                    yield case_of(wanted, shown, sees, query, view.world_from_camera, spoilt=spoilt)
-
-
-def cases_of_ycb_video(options, device):
-    subjects = ycb_video_subjects(options.ycb_video, voxel_size=None, device=device)
-    for subject in subjects:
-        camera, points = subject.view(subject.queries[0]).camera, subject.points.points
-        # As fine as fusion locate makes a model of points.
-        model = prepare_model(CadModel(source=subject.name, mesh=None, points=points).volume(device=device))
-        wanted = model_of(subject.name, model, camera, points)
-        for other in subjects:
-            for frame in other.queries[: options.right if other is subject else options.wrong]:
-                view = other.view(frame)
-                for sees, query in queries_of(view, wall=True):
-                    yield case_of(wanted, other.name, sees, query, view.world_from_camera, spoilt=True)
-
-
-# --- what they tell ---------------------------------------------------------------------------------------------------
 
 
 def rate(count, total):

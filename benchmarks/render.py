@@ -1,10 +1,10 @@
 """How fast, how clean, how exact and how robust does ``datagen render`` make frames?
 
-    python benchmarks/render.py quality suzanne            # each preset: time, and PSNR against a converged image
-    python benchmarks/render.py overhead suzanne           # wall time over Cycles' own, at 1 and 16 samples
-    python benchmarks/render.py depth suzanne bunny table  # against ray casting in double precision
-    python benchmarks/render.py memory suzanne             # of a worker over hundreds of frames
-    python benchmarks/render.py kills --times 20           # two shards, killed at random, against one run
+    python -m benchmarks.render quality suzanne            # each preset: time, and PSNR against a converged image
+    python -m benchmarks.render overhead suzanne           # wall time over Cycles' own, at 1 and 16 samples
+    python -m benchmarks.render depth suzanne bunny table  # against ray casting in double precision
+    python -m benchmarks.render memory suzanne             # of a worker over hundreds of frames
+    python -m benchmarks.render kills --times 20           # two shards, killed at random, against one run
 
 Cycles' own time is what it writes into its images' headers (rendering and synchronisation). Each figure is from one
 process that runs alone; on a machine with other work only ratios of the same line mean something, and "cpu" counts the
@@ -21,11 +21,6 @@ import time
 from concurrent.futures import ThreadPoolExecutor, wait
 from pathlib import Path
 
-# Run as a script, this folder would hide modules of the same names.
-sys.path[:] = [entry for entry in sys.path if Path(entry or ".").resolve() != Path(__file__).resolve().parent]
-CHECKOUT = Path(__file__).resolve().parents[1]
-sys.path[:0] = [str(CHECKOUT), str(CHECKOUT / "tests")]
-
 import numpy as np
 import psutil
 from exact_raster import cast
@@ -33,6 +28,7 @@ from exact_raster import cast
 from datagen.scene_spec.render_settings import PRESETS
 from datagen.scene_spec.scene_files import load_scene, with_render_settings
 
+CHECKOUT = Path(__file__).resolve().parents[1]
 MEMORY = Path("/dev/shm") if Path("/dev/shm").is_dir() else Path(tempfile.gettempdir())
 WARM_UP_FRAMES = 2
 

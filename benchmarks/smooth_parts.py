@@ -9,8 +9,8 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-from scene_surfaces import FAR, true_surface
 
+from benchmarks.scene_surfaces import FAR, true_surface
 from datagen.open_dataset import open_dataset
 from fusion.reconstruct import reconstruct
 from fusion.reconstruction_config import ReconstructionConfig

@@ -1,10 +1,10 @@
 """Marching cubes against dual contouring: sharp edges, smooth parts, vertices, topology and time.
 
-    python benchmarks/surfaces.py                        # all
-    python benchmarks/surfaces.py topology --solids 300
-    python benchmarks/surfaces.py edges table time
-    python benchmarks/surfaces.py scenes --datasets suzanne bunny table --every 10
-    python benchmarks/surfaces.py vertices smooth --datasets table --every 10 --voxel-sizes 0.010 0.014 0.020
+    python -m benchmarks.surfaces                        # all
+    python -m benchmarks.surfaces topology --solids 300
+    python -m benchmarks.surfaces edges table time
+    python -m benchmarks.surfaces scenes --datasets suzanne bunny table --every 10
+    python -m benchmarks.surfaces vertices smooth --datasets table --every 10 --voxel-sizes 0.010 0.014 0.020
 
 *topology*: random solids in closed form, each meshed by the volume alone and by the solid as an oracle: how many are
 closed and manifold, and how many pairs of triangles meet (exactly, CGAL through libigl); with cells merged, too, within
@@ -18,26 +18,15 @@ of a true edge, and beyond two voxels. *order*: how vertices converge on a smoot
 """
 
 import argparse
-import sys
 import time
 from pathlib import Path
 
 import numpy as np
 import warp as wp
-
-# Run as a script, this folder would hide the package that it measures: it has a file of that name.
-_HERE = Path(__file__).resolve().parent
-sys.path[:] = [entry for entry in sys.path if Path(entry or ".").resolve() != _HERE]
-sys.path[:0] = [str(_HERE.parent), str(_HERE.parent / "tests")]
-sys.path.append(str(_HERE))
-
-import accuracy
-import scene_surfaces
-import smooth_parts
-import vertices_for_errors
 from analytic_oracle import SolidState, ball, cube, l_shape, random_solid, solid_value
 from mesh_topology import is_closed, is_manifold, self_intersections
 
+from benchmarks import accuracy, scene_surfaces, smooth_parts, vertices_for_errors
 from datagen.open_dataset import open_dataset
 from fusion.devices import launch_in_slabs, resolve_device
 from fusion.evaluation.evaluate import sample_surface

@@ -1,6 +1,6 @@
 """Does ``datagen validate`` name every fault, and none where there is none? Random recordings, each corrupted each way.
 
-    python benchmarks/validate.py --seeds 200 --workers 2 --out validate.jsonl
+    python -m benchmarks.validate --seeds 200 --workers 2 --out validate.jsonl
 
 A seed is a scene (objects on a table, an object alone, a room), a handheld path of 40 frames, a camera and a size; two
 in three have texture. Each is checked clean, as a depth camera would see it, and with each fault of
@@ -10,7 +10,6 @@ that is reported. Without the mesh a recording may not show it: that is told apa
 
 import argparse
 import json
-import sys
 import tempfile
 import time
 from collections import Counter
@@ -18,11 +17,6 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 
 import numpy as np
-
-# Run as a script, this folder would hide packages: it has files of their names.
-sys.path[:] = [entry for entry in sys.path if Path(entry or ".").resolve() != Path(__file__).resolve().parent]
-sys.path[:0] = [str(Path(__file__).resolve().parents[1]), str(Path(__file__).resolve().parents[1] / "tests")]
-
 from ray_cast_recordings import CORRUPTIONS, Recording, record, with_sensor_noise
 
 from datagen.dataset_check.check import check_dataset

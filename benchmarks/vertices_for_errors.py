@@ -14,8 +14,8 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-from scene_surfaces import FAR, SAMPLES, true_surface
 
+from benchmarks.scene_surfaces import FAR, SAMPLES, true_surface
 from fusion.evaluation.evaluate import Observers, sample_surface
 from fusion.evaluation.sharp_edges import seen_sharp_edges, sharp_edge_error, smooth_error
 from fusion.meshing import depth_oracle, fused_frames
