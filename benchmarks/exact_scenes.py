@@ -1,5 +1,6 @@
 """A sphere, Suzanne and a table, with depth images that are exact at the pixels' centres."""
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -59,20 +60,17 @@ def _see_points(
 
 
 @dataclass
-class Scene:
-    """A true surface, the poses that it is seen from, and what the camera sees there, exactly."""
+class Scene(ABC):
+    """The poses that a surface is seen from, and what the camera sees there, exactly."""
 
     name: str
     poses: list
     device: object
     camera: PinholeCamera = CAMERA
 
+    @abstractmethod
     def depth(self, frame):
-        raise NotImplementedError
-
-    def distances(self, points):
-        """Return distances (n,) from points to the surface, and its unit normals (n, 3) there."""
-        raise NotImplementedError
+        """Return the depth image of a frame."""
 
     @cached_property
     def depths(self):
@@ -88,7 +86,15 @@ class Scene:
         return colors
 
 
-class SphereScene(Scene):
+class TrueScene(Scene):
+    """A scene that knows its surface, so that a mesh can be held against it."""
+
+    @abstractmethod
+    def distances(self, points):
+        """Return distances (n,) from points to the surface, and its unit normals (n, 3) there."""
+
+
+class SphereScene(TrueScene):
     """In closed form, not by triangles."""
 
     def depth(self, frame):
@@ -121,7 +127,7 @@ class SphereScene(Scene):
         return 4 * np.pi * SPHERE_RADIUS**2
 
 
-class MeshScene(Scene):
+class MeshScene(TrueScene):
     def __init__(self, name, mesh, poses, device, camera=CAMERA):
         super().__init__(name, poses, device, camera)
         self.mesh = mesh
