@@ -121,7 +121,7 @@ class SCANBACK_OT_import_ply(bpy.types.Operator):  # noqa: N801
     """Asks for a mesh file and imports it with its colours."""
 
     bl_idname = "scanback.import_ply"
-    bl_label = "Import PLY With Vertex Colors"
+    bl_label = "Import PLY With Colors"
     bl_description = "Import a triangle mesh with a material that shows the colors of its vertices"
     bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012
 
@@ -165,7 +165,7 @@ class SCANBACK_FH_ply(_Dropped, bpy.types.FileHandler):  # noqa: N801
     """Takes mesh files that are dropped onto the viewport."""
 
     bl_idname = "SCANBACK_FH_ply"
-    bl_label = "PLY With Vertex Colors (Scanback)"
+    bl_label = "PLY With Colors (Scanback)"
     bl_import_operator = SCANBACK_OT_import_ply.bl_idname
     bl_file_extensions = ".ply"
 
@@ -221,7 +221,7 @@ def _is_large(path: Path) -> bool:
 def _draw_import_entries(menu: Any, context: Any) -> None:  # noqa: ARG001
     menu.layout.operator(SCANBACK_OT_import_reconstruction.bl_idname, text="Scanback Reconstruction")
     menu.layout.operator(SCANBACK_OT_import_dataset.bl_idname, text="Scanback Dataset")
-    menu.layout.operator(SCANBACK_OT_import_ply.bl_idname, text="PLY With Vertex Colors (.ply)")
+    menu.layout.operator(SCANBACK_OT_import_ply.bl_idname, text="PLY With Colors (.ply)")
 
 
 CLASSES = (

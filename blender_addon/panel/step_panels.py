@@ -228,7 +228,7 @@ class SCANBACK_PT_compare(_StepPanel, bpy.types.Panel):  # type: ignore[misc]  #
             ("accuracy_m", "Mesh to original"),
             ("completeness_m", "Original to mesh"),
             ("vertex_most_m", "Farthest vertex"),
-            ("limit_m", "Last color"),
+            ("limit_m", "Full color at"),
         ):
             if name in numbers:
                 split = column.split(factor=0.55)
