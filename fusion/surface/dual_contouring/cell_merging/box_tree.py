@@ -6,7 +6,6 @@ import warp as wp
 
 from fusion.surface.dual_contouring.cell_merging.boxes import (
     BOXES,
-    LEVELS,
     MERGED,
     NOT_MERGED,
     Boxes,
@@ -14,6 +13,7 @@ from fusion.surface.dual_contouring.cell_merging.boxes import (
     boxes_before,
     corner_of_box,
     level_at,
+    level_of_box,
     word_of_box,
 )
 from fusion.surface.dual_contouring.cell_merging.merge_boxes import merge_boxes
@@ -54,17 +54,18 @@ def _find_owners(
 
 
 @wp.kernel
-def _split(first: int, level: int, boxes: Boxes) -> None:
+def _split(first: int, boxes: Boxes) -> None:
     # The boxes that hold are those whose first vertex is served by one of their own level.
-    index = wp.tid() + first
-    count = 512 >> (3 * level)
-    slot = index // count
-    number = box_number(slot, level, corner_of_box(level, index - slot * count))
-    if boxes.states[number] == MERGED:
-        lowest = boxes.first[number]
-        if int(boxes.levels[lowest]) == level and boxes.refused[lowest] != wp.uint8(0):
-            boxes.states[number] = NOT_MERGED
-            boxes.changed[slot] = wp.uint8(1)
+    slot = wp.tid() + first
+    changed = wp.uint8(0)
+    for box in range(_BOXES):
+        number = _BOXES * slot + box
+        if boxes.states[number] == MERGED:
+            lowest = boxes.first[number]
+            if boxes.refused[lowest] != wp.uint8(0) and int(boxes.levels[lowest]) == level_of_box(box):
+                boxes.states[number] = NOT_MERGED
+                changed = wp.uint8(1)
+    boxes.changed[slot] = changed
 
 
 @wp.kernel
@@ -79,7 +80,7 @@ def _write_vertices(
     number = wp.tid() + first
     slot = number // _BOXES
     box = number - _BOXES * slot
-    level = wp.where(box < 64, 1, wp.where(box < 72, 2, 3))
+    level = level_of_box(box)
     if boxes.states[number] != MERGED or int(boxes.levels[boxes.first[number]]) != level:
         return
     corner = corner_of_box(level, box - boxes_before(level))
@@ -128,10 +129,7 @@ class BoxTree:
 
     def split_refused(self) -> None:
         """Split the boxes whose owners are ``refused``, and forget these."""
-        self.boxes.changed.zero_()
-        for level in range(1, LEVELS + 1):
-            dim = self.slots * (512 >> (3 * level))
-            launch_over_layers(_split, dim=dim, inputs=[level], outputs=[self.boxes], device=self.device)
+        launch_over_layers(_split, dim=self.slots, inputs=[], outputs=[self.boxes], device=self.device)
         self.boxes.refused.zero_()
         self._find_owners()
 

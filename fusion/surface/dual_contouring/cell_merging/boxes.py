@@ -48,6 +48,12 @@ def boxes_before(level: int) -> int:
 
 
 @wp.func
+def level_of_box(box: int) -> int:
+    """Return the level of a block's box, from its number among all of them."""
+    return wp.where(box < 64, 1, wp.where(box < 72, 2, 3))
+
+
+@wp.func
 def box_number(slot: int, level: int, at: wp.vec3i) -> int:
     """Return the number of the box of a level, from 1 to LEVELS, that holds a cell of a block."""
     along = 8 >> level
