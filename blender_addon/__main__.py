@@ -7,6 +7,7 @@ from pathlib import Path
 from blender_addon.errors import ReconstructionError
 from blender_addon.headless.quiet_stdout import quiet_stdout
 from datagen.blender_program import leaving_extensions_alone
+from datagen.commands.arguments import add_version
 from datagen.errors import InputError
 from datagen.interrupts import interrupts_held
 from datagen.progress import on_terminal
@@ -26,7 +27,7 @@ def main(arguments: list[str] | None = None) -> int:
 
         config = PresentConfig(
             reconstruction=folder,
-            blend=options.output or folder / "result.blend",
+            blend=options.out or folder / "result.blend",
             preview=options.preview or folder / "preview.png",
             comparison=options.comparison or folder / "comparison.png",
             require_comparison=options.comparison is not None,
@@ -60,13 +61,19 @@ def _parser() -> argparse.ArgumentParser:
         description="Bring a reconstruction back into Blender: a .blend file, a render of it, and the reconstruction "
         "beside a frame of the scan.",
     )
+    add_version(parser)
     parser.add_argument("reconstruction", type=Path, help="the folder that 'fusion reconstruct' wrote")
-    parser.add_argument("--output", type=Path, help="the .blend file (RECONSTRUCTION/result.blend)")
+    parser.add_argument("--out", type=Path, help="the .blend file (RECONSTRUCTION/result.blend)")
+    parser.add_argument("--output", type=_renamed, help=argparse.SUPPRESS)
     parser.add_argument("--preview", type=Path, help="the render of it (RECONSTRUCTION/preview.png)")
     parser.add_argument("--comparison", type=Path, help="side by side with a frame (RECONSTRUCTION/comparison.png)")
     parser.add_argument("--size", type=_size, default=(1280, 720), metavar="WxH", help="size of the preview (1280x720)")
     parser.add_argument("--samples", type=_samples, default=16, help="Cycles samples for each pixel (16)")
     return parser
+
+
+def _renamed(text: str) -> None:
+    raise argparse.ArgumentTypeError(f"is called --out, as in the other commands: --out {text}")
 
 
 def _size(text: str) -> tuple[int, int]:

@@ -10,7 +10,7 @@ from fusion.devices import load_kernels
 from fusion.frames.frame_batch import FrameUploader
 from fusion.frames.frame_source import FrameSource
 from fusion.integration.options import Integration
-from fusion.reconstruction_config import ReconstructionConfig
+from fusion.reconstruction_config import ReconstructionConfig, check_meshing
 from fusion.reconstruction_files import RECORD_FILE, ReconstructionRecord
 from fusion.stopwatch import Stopwatch
 from fusion.surface.dual_contouring.depth_oracle import FIELD_MODULES, DepthField
@@ -109,7 +109,7 @@ def recorded_config(
     """Return how the reconstruction in ``folder`` was fused and meshed; of a merged one its parts were fused alike.
 
     ``mesher``, ``oracle`` and ``flatness`` take the place of the recorded ones. Raises InputError for a record
-    that does not tell.
+    that does not tell, and for what the mesher, recorded or given, takes no notice of.
     """
     fused = record.config
     while fused.get("merged"):
@@ -117,6 +117,7 @@ def recorded_config(
     values = {field.name: fused[field.name] for field in fields(ReconstructionConfig) if field.name in fused}
     # A record without a mesher was written when there were marching cubes alone.
     values["mesher"] = mesher or record.config.get("mesher", "marching-cubes")
+    check_meshing(values["mesher"], oracle=oracle, flatness=flatness)
     if oracle or "oracle" in record.config:
         values["oracle"] = oracle or record.config["oracle"]
     # A record without a flatness was written when no cells were merged.

@@ -90,6 +90,14 @@ def check_length(option: str, value: float) -> None:
         )
 
 
+def check_meshing(mesher: Mesher, *, oracle: OracleName | None, flatness: float | None) -> None:
+    """Raise InputError where an option of dual contouring was given, not None, that ``mesher`` takes no notice of."""
+    if mesher == "marching-cubes" and oracle is not None:
+        raise InputError(f"--oracle {oracle}: marching cubes asks no oracle; add --mesher dual-contouring")
+    if mesher == "marching-cubes" and flatness:
+        raise InputError(f"--flatness {flatness:g}: marching cubes merges no cells; add --mesher dual-contouring")
+
+
 def choose_lengths(config: ReconstructionConfig, survey_scene: Callable[[], SceneSurvey]) -> Lengths:
     """Return the lengths that were asked for, and for those left open what suits the data, which are surveyed then.
 

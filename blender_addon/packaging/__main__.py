@@ -16,7 +16,7 @@ def main(arguments: list[str] | None = None) -> int:
     by_name = {platform.name: platform for platform in PLATFORMS}
     try:
         zips = build_zips(
-            options.output,
+            options.out,
             options.work,
             platforms=[by_name[name] for name in options.platform or by_name],
             with_wheels=not options.without_wheels,
@@ -36,7 +36,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     names = [platform.name for platform in PLATFORMS]
     parser.add_argument("--platform", action="append", choices=names, help="only this one; may be given again (all)")
-    parser.add_argument("--output", type=Path, default=CHECKOUT / "dist", help="where the zips go (dist)")
+    parser.add_argument("--out", type=Path, default=CHECKOUT / "dist", help="where the zips go (dist)")
     parser.add_argument(
         "--work", type=Path, default=CHECKOUT / "build" / "extension", help="keeps downloads (build/extension)"
     )

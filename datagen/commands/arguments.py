@@ -3,6 +3,28 @@
 import argparse
 import math
 import re
+from collections.abc import Sequence
+from typing import Any
+
+
+class _ShowVersion(argparse.Action):
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,  # noqa: ARG002 - argparse's signature
+        values: str | Sequence[Any] | None,  # noqa: ARG002
+        option_string: str | None = None,  # noqa: ARG002
+    ) -> None:
+        # Metadata take as long as --help: they are asked for when the version is.
+        from datagen.program_version import program_version  # noqa: PLC0415
+
+        print(program_version())
+        parser.exit()
+
+
+def add_version(parser: argparse.ArgumentParser) -> None:
+    """Add ``--version``."""
+    parser.add_argument("--version", action=_ShowVersion, nargs=0, help="tell the version and exit")
 
 
 def add_frames(command: argparse.ArgumentParser, *, default: str = "all") -> None:
@@ -10,8 +32,8 @@ def add_frames(command: argparse.ArgumentParser, *, default: str = "all") -> Non
     command.add_argument(
         "--frames",
         metavar="START:STOP:STEP",
-        help=f"a Python slice over the frames, such as 0:100 or ::10; --frames=-20: where it begins with a minus "
-        f"(default: {default})",
+        help=f"a Python slice over the frames, such as 0:100 or ::10, or the place of one; --frames=-20: where it "
+        f"begins with a minus (default: {default})",
     )
 
 
@@ -32,6 +54,14 @@ def positive(text: str) -> int:
     """Return a whole number from 1."""
     if not text.isdecimal() or int(text) < 1:
         raise argparse.ArgumentTypeError(f"{text!r} is no count; expected a whole number from 1")
+    return int(text)
+
+
+def frame_count(text: str) -> int:
+    """Return a number of frames; says that it is one where a slice is given, which ``--frames`` takes elsewhere."""
+    if not text.isdecimal() or int(text) < 1:
+        slices = "; a slice chooses among frames that a dataset has" if ":" in text else ""
+        raise argparse.ArgumentTypeError(f"{text!r} is no number of frames; expected how many, from 1{slices}")
     return int(text)
 
 

@@ -9,6 +9,7 @@ import os
 import sys
 from collections.abc import Mapping, Sequence
 
+from datagen.commands.arguments import add_version
 from datagen.errors import InputError, WorkerError
 from datagen.interrupts import interrupts_held
 from datagen.parent_process import end_with_input
@@ -28,7 +29,7 @@ def run_command_line(
     ``commands`` are names with a line of help each. The module ``PROGRAM.commands.NAME``, a name's hyphens being
     underscores there, has ``add_options``, which gives a parser the command's options and ``run``, whose result is the
     exit code if it is not None. ``interrupted`` says what comes of the work after Ctrl-C. Leaves with exit code 0 after
-    help, with 2 for what cannot be parsed.
+    help and the version, with 2 for what cannot be parsed.
     """
     try:
         options = _parse(program, description, commands, sys.argv[1:] if arguments is None else list(arguments))
@@ -51,10 +52,11 @@ def run_command_line(
 
 def _parse(program: str, description: str, commands: Mapping[str, str], words: list[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog=program, description=description)
+    add_version(parser)
     parsers = parser.add_subparsers(required=True, metavar="COMMAND")
     for name, text in commands.items():
         command = parsers.add_parser(name, help=text)
-        if words[:1] == [name]:  # the program has no option of its own that could stand before
+        if words[:1] == [name]:  # the program's own options, which could stand before, end it
             with interrupts_held():  # trimesh takes whatever happens meanwhile for a package that is not there
                 module = importlib.import_module(f"{program}.commands.{name.replace('-', '_')}")
             module.add_options(command)

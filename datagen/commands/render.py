@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from datagen.commands.arguments import image_size, layer_names, positive
+from datagen.commands.arguments import frame_count, image_size, layer_names, positive
 from datagen.commands.job_options import add_job_options, reporting
 from datagen.dataset import Dataset
 from datagen.rendering.render_job import DEVICES, render_dataset
@@ -26,7 +26,7 @@ def add_options(command: argparse.ArgumentParser) -> None:
         f"{', '.join(MODEL_SUFFIXES)}",
     )
     command.add_argument("out", metavar="OUT", type=Path, help="folder of the dataset")
-    command.add_argument("--frames", type=int, metavar="N", help="number of frames; the path stays the same")
+    command.add_argument("--frames", type=frame_count, metavar="N", help="number of frames; the path stays the same")
     command.add_argument("--size", type=image_size, metavar="WxH", help="image size in pixels, for example 640x480")
     command.add_argument("--preset", choices=PRESETS, help="samples, bounces and denoising by a name for all of them")
     command.add_argument("--samples", type=int, metavar="N", help="Cycles samples a pixel: more are slower and cleaner")

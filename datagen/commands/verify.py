@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from datagen.commands.arguments import positive
+from datagen.commands.arguments import frame_count, positive
 from datagen.commands.render import say
 from datagen.progress import on_terminal
 from datagen.rendering.render_job import DEVICES
@@ -17,7 +17,7 @@ EXIT_MISMATCH = 1
 def add_options(command: argparse.ArgumentParser) -> None:
     """Give the command's parser its options, and ``run``."""
     command.add_argument("dataset", metavar="DATASET", type=Path, help="a dataset that datagen render made")
-    command.add_argument("--frames", type=positive, default=5, metavar="N", help="how many frames (default: 5)")
+    command.add_argument("--frames", type=frame_count, default=5, metavar="N", help="how many frames (default: 5)")
     command.add_argument("--seed", type=int, default=0, metavar="N", help="of the choice of frames")
     command.add_argument(
         "--models", type=Path, default=Path(), metavar="FOLDER", help="where the scene's own model files lie"

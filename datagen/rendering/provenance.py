@@ -5,7 +5,6 @@ name, its kernel's version, the time) is left out, so that they can.
 """
 
 import platform
-from importlib import metadata as package_metadata
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +19,7 @@ from datagen.dataset_format import (
     write_metadata,
 )
 from datagen.errors import InputError
+from datagen.program_version import program_version
 from datagen.rendering.recipes import recipe_of
 from datagen.scene_spec.scene import Scene
 from datagen.scene_spec.scene_layers import layers_of
@@ -44,7 +44,7 @@ def metadata_of(scene: Scene, description: dict[str, Any]) -> Metadata:
         distortion=distortion_of(intrinsics.camera, scene.lens) if scene.lens is not None else None,
         recipe=recipe_of(scene),
         provenance={
-            "program": f"scanback {_version()}",
+            "program": program_version(),
             **description["provenance"],
             "system": f"{platform.system()} {platform.machine()}",
             "python": ".".join(platform.python_version_tuple()[:2]),
@@ -88,10 +88,3 @@ def join_metadata(first: Metadata, second: Metadata, *, names: tuple[str, str]) 
         name for metadata in (first, second) for name in str(metadata.provenance.get("device_name", "")).split(" or ")
     }
     return first.model_copy(update={"provenance": first.provenance | {"device_name": " or ".join(sorted(devices))}})
-
-
-def _version() -> str:
-    try:
-        return package_metadata.version("scanback")
-    except package_metadata.PackageNotFoundError:
-        return "(source checkout)"

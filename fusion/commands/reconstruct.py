@@ -9,7 +9,6 @@ from rich.table import Table
 
 from datagen.commands.arguments import add_frames, add_json, positive
 from datagen.commands.job_options import add_job_options, reporting
-from datagen.errors import InputError
 from datagen.open_dataset import open_dataset
 from fusion.commands.arguments import (
     add_dataset,
@@ -24,7 +23,7 @@ from fusion.commands.arguments import (
 from fusion.commands.metrics import print_metrics
 from fusion.integration.options import DepthSampling, Integration, Weighting
 from fusion.reconstruct import reconstruct
-from fusion.reconstruction_config import ReconstructionConfig
+from fusion.reconstruction_config import ReconstructionConfig, check_meshing
 from fusion.reconstruction_files import ReconstructionRecord
 from fusion.snapshots import Snapshots
 from fusion.surface.meshers import Mesher, OracleName
@@ -103,9 +102,8 @@ def _add_meshing(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--oracle",
         choices=get_args(OracleName),
-        default=defaults.oracle,
         help="what dual contouring goes by: the volume, or the depth images themselves, sharper and slower "
-        "(default: %(default)s)",
+        f"(default: {defaults.oracle})",
     )
     command.add_argument(
         "--flatness",
@@ -118,10 +116,7 @@ def _add_meshing(command: argparse.ArgumentParser) -> None:
 
 
 def _run(options: argparse.Namespace) -> None:
-    if options.flatness and options.mesher == "marching-cubes":
-        raise InputError(
-            f"--flatness {options.flatness:g}: marching cubes merges no cells; add --mesher dual-contouring"
-        )
+    check_meshing(options.mesher, oracle=options.oracle, flatness=options.flatness)
     config = ReconstructionConfig(
         voxel_size=options.voxel_size,
         truncation=options.truncation,
@@ -137,7 +132,7 @@ def _run(options: argparse.Namespace) -> None:
             weight_cap=options.weight_cap,
         ),
         mesher=options.mesher,
-        oracle=options.oracle,
+        oracle=options.oracle or ReconstructionConfig.oracle,
         flatness=options.flatness,
         depth_layer=options.depth,
     )

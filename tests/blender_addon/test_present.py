@@ -106,7 +106,7 @@ def test_without_its_dataset_a_reconstruction_is_presented_without_comparison(
     sphere_scan: Any, tmp_path: Path, run: Run
 ) -> None:
     sphere_scan.dataset.rename(tmp_path / "elsewhere")
-    outputs = ["--output", tmp_path / "new" / "a.blend", "--preview", tmp_path / "new" / "b.png"]
+    outputs = ["--out", tmp_path / "new" / "a.blend", "--preview", tmp_path / "new" / "b.png"]
     result = run(sphere_scan.folder, *outputs, "--size", "64x48", "--samples", "1")
     assert result.returncode == 0, result.stderr
     assert "note: no comparison with the scan: " in result.stderr
@@ -140,7 +140,7 @@ def test_a_folder_that_cannot_be_written_to_is_refused(sphere_scan: Any, run: Ru
 
 
 def test_an_output_below_a_file_is_refused(sphere_scan: Any, run: Run) -> None:
-    result = run(sphere_scan.folder, "--output", sphere_scan.folder / "mesh.ply" / "result.blend")
+    result = run(sphere_scan.folder, "--out", sphere_scan.folder / "mesh.ply" / "result.blend")
     _check_refused(result, "result.blend: cannot be written")
 
 
@@ -149,6 +149,14 @@ def test_options_out_of_range_are_refused(tmp_path: Path, arguments: tuple[str, 
     result = run(tmp_path, *arguments)
     assert result.returncode == 2
     assert f"argument {arguments[0]}: '{arguments[1]}': expected" in result.stderr
+
+
+def test_the_old_name_of_an_option_is_answered_with_the_new_one(tmp_path: Path, run: Run) -> None:
+    result = run(tmp_path, "--output", tmp_path / "a.blend")
+    assert result.returncode == 2
+    assert (
+        f"argument --output: is called --out, as in the other commands: --out {tmp_path / 'a.blend'}" in result.stderr
+    )
 
 
 def _check_refused(result: subprocess.CompletedProcess[str], message: str) -> None:

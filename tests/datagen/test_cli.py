@@ -2,6 +2,8 @@ import json
 import signal
 import subprocess
 import sys
+import tomllib
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -53,7 +55,7 @@ def test_nothing_is_said_where_nobody_listens_any_more(kitchen):
     [
         (["info", "/nowhere"], "/nowhere: no such folder"),
         (["render", "suzane", "unused"], "did you mean suzanne"),
-        (["render", "suzanne", "unused", "--frames", "0"], "frames: expected greater than or equal to 1, found 0"),
+        (["render", "suzanne", "unused", "--samples", "0"], "samples: expected greater than or equal to 1, found 0"),
     ],
 )
 def test_bad_input_is_one_line_on_standard_error_and_exit_code_2(arguments, complaint, capsys):
@@ -65,9 +67,27 @@ def test_bad_input_is_one_line_on_standard_error_and_exit_code_2(arguments, comp
     assert err.count("\n") == 1
 
 
-@pytest.mark.parametrize("options", [["--size", "640"], ["--workers", "0"], ["--device", "gpu"], ["--frames", "x"]])
+@pytest.mark.parametrize("options", [["--size", "640"], ["--workers", "0"], ["--device", "gpu"], ["--frames", "0"]])
 def test_options_that_cannot_be_parsed_leave_with_exit_code_2(options, capsys):
     with pytest.raises(SystemExit) as left:
         main(["render", "suzanne", "unused", *options])
     assert left.value.code == 2
     assert options[0] in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", [["render", "suzanne", "unused"], ["verify", "unused"]])
+def test_a_slice_where_a_number_of_frames_is_asked_for_is_told_so(command, capsys):
+    with pytest.raises(SystemExit) as left:
+        main([*command, "--frames", "::2"])
+    assert left.value.code == 2
+    complaint = "'::2' is no number of frames; expected how many, from 1; a slice chooses among frames"
+    assert complaint in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("program", ["datagen", "fusion", "blender_addon"])
+def test_all_programs_tell_the_version_of_the_project_and_nothing_else(program):
+    checkout = Path(__file__).parents[2]
+    version = tomllib.loads((checkout / "pyproject.toml").read_text())["project"]["version"]
+    command = [sys.executable, "-m", program, "--version"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=checkout)
+    assert (done.returncode, done.stdout, done.stderr) == (0, f"scanback {version}\n", "")

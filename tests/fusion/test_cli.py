@@ -107,6 +107,8 @@ def test_bad_datasets_give_one_clear_error_and_nothing_half_written(capsys, data
         (["--frames", "9:12"], "--frames 9:12: selects none of the dataset's 6 frames"),
         (["--frames", "a:b"], "--frames a:b: expected START:STOP:STEP"),
         (["--voxel-size", "nan"], "--voxel-size nan: expected a positive number"),
+        (["--oracle", "volume"], "--oracle volume: marching cubes asks no oracle; add --mesher dual-contouring"),
+        (["--flatness", "0.1"], "--flatness 0.1: marching cubes merges no cells; add --mesher dual-contouring"),
         (["--depth-max", "0.1"], "none of the 6 chosen frames has a valid depth"),
     ],
 )

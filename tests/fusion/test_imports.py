@@ -21,4 +21,4 @@ def test_fusion_loads_no_blender_and_no_renderer():
 def test_help_waits_for_nothing_that_is_slow_to_import():
     loaded = loaded_by("from fusion.cli import main\ntry:\n    main(['--help'])\nexcept SystemExit:\n    pass")
     assert "fusion.cli" in loaded
-    assert not loaded & {"numpy", "cv2", "warp", "trimesh", "scipy", "pydantic", "rich"}
+    assert not loaded & {"numpy", "cv2", "warp", "trimesh", "scipy", "pydantic", "rich", "importlib.metadata"}

@@ -147,6 +147,21 @@ def test_cells_are_merged_as_they_were_or_as_is_said(base, tmp_path, capsys):
     refused(capsys, "add --mesher dual-contouring", "reconstruct", base / "data", tmp_path / "cubes", *cubes)
 
 
+def test_options_of_dual_contouring_are_refused_where_it_is_not_what_meshes(base, tmp_path, capsys):
+    out, oracle = tmp_path / "out", ["--oracle", "volume"]
+    message = "--oracle volume: marching cubes asks no oracle; add --mesher dual-contouring"
+    refused(capsys, message, "export", base / "cubes", tmp_path / "mesh.ply", *oracle)
+    refused(capsys, message, "crop", base / "cubes", out, *EVERYWHERE, *oracle)
+    refused(capsys, message, "crop", base / "volume", out, *EVERYWHERE, *WAYS["cubes"], *oracle)
+    refused(capsys, "--flatness 0.1: ", "export", base / "cubes", tmp_path / "mesh.ply", "--flatness", "0.1")
+    assert list(tmp_path.iterdir()) == []
+    # Without them, what was recorded of the other mesher is no complaint; with it, they are taken.
+    assert run("export", base / "depth", tmp_path / "mesh.ply", *WAYS["cubes"]) == 0
+    assert_same(mesh_in(tmp_path / "mesh.ply"), mesh_in(base / "cubes" / "mesh.ply"))
+    assert run("export", base / "cubes", tmp_path / "mesh.ply", *WAYS["volume"]) == 0
+    assert_same(mesh_in(tmp_path / "mesh.ply"), mesh_in(base / "volume" / "mesh.ply"))
+
+
 def test_a_record_that_says_nonsense_is_named(base, tmp_path, capsys):
     shutil.copytree(base / "cubes", tmp_path / "cubes")
     path = tmp_path / "cubes" / "reconstruction.json"
