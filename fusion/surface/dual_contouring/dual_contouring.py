@@ -55,7 +55,7 @@ def dual_contouring(
     grid, counts = find_grid(volume, oracle, min_weight=min_weight, snap=snap)
     along = edge_points(volume, grid, counts, oracle)
     curve_points = None if oracle is None else face_points(volume, grid, counts, oracle, along)
-    merges = flatness > 0 and counts.vertices > 0
+    merges = flatness > 0 and counts.quads > 0
     room = VertexRoom(counts.vertices + counts.rim + counts.vertices // _MORE, volume.device, normals=normals or merges)
     places, cells = cell_points(volume, grid, counts, along, curve_points, room=room)
     corners, gaps = quad_corners(grid, counts, along, places, gaps=oracle is None)

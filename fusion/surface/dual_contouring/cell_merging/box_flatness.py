@@ -4,6 +4,7 @@ Asked is for the vertices of cells that boxes serve, and for the corners of the 
 edges and their own. All of it is in voxels from a block near by, so that 32 bits tell it well far from the origin, too.
 """
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -20,10 +21,6 @@ from fusion.surface.layers import NONE, below, launch_over_layers, lowest_bit, n
 from fusion.volume.tsdf_volume import Volume
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
-
-_SAMPLES = np.array(
-    [[1, 0, 0], [0, 1, 0], [0, 0, 1], [0.5, 0.5, 0], [0, 0.5, 0.5], [0.5, 0, 0.5], [1 / 3] * 3], np.float32
-)
 
 
 @wp.func
@@ -93,18 +90,25 @@ def _find_far(
     far[index] = wp.uint8(wp.where(query.result, 0, 1))
 
 
-def _triangles(corners: NDArray[np.int32], splits: NDArray[np.uint8], crossings: NDArray[np.intp]) -> NDArray[np.int32]:
-    """Return the triangles (m, 3) that quads are cut into, of vertices and of their ``crossings``, the middles of fans.
+@dataclass(frozen=True, kw_only=True)
+class _Triangles:
+    """Triangles that quads are cut into: their ``corners`` (m, 3), numbers of points, and their ``quads`` (m,)."""
 
-    None has a corner twice.
-    """
-    one, two, fan = splits >= WITHOUT_CORNER, splits < FAN, splits == FAN
+    corners: NDArray[np.int32]
+    quads: NDArray[np.intp]
+
+
+def _triangles(corners: NDArray[np.int32], splits: NDArray[np.uint8], crossings: NDArray[np.intp]) -> _Triangles:
+    """Return the triangles of quads between vertices, ``crossings`` the middles of fans; none has a corner twice."""
+    one, two, fan = (np.flatnonzero(some) for some in (splits >= WITHOUT_CORNER, splits < FAN, splits == FAN))
     fewer = np.take_along_axis(corners[one], (splits[one, None] - WITHOUT_CORNER + np.arange(1, 4)) & 3, axis=1)
     turned = np.take_along_axis(corners[two], (splits[two, None] + np.arange(4)) & 3, axis=1)
     middles = crossings[fan][:, None]
     around = [np.hstack([middles, corners[fan][:, [side, (side + 1) & 3]]]) for side in range(4)]
     found = np.concatenate([fewer, turned[:, [0, 1, 2]], turned[:, [0, 2, 3]], *around]).astype(np.int32)
-    return found[(found != np.roll(found, 1, axis=1)).all(axis=1)]
+    quads = np.concatenate([one, two, two, fan, fan, fan, fan])
+    proper = (found != found[:, [1, 2, 0]]).all(axis=1)
+    return _Triangles(corners=found[proper], quads=quads[proper])
 
 
 class BoxFlatness:
@@ -142,26 +146,27 @@ class BoxFlatness:
         """Refuse boxes that are more than ``flatness`` voxels off, for quads cut so; return whether there are any."""
         levels, owners = tree.boxes.levels.numpy(), tree.boxes.owners.numpy()
         changed = self._changed(owners, levels)
-        merged = np.flatnonzero((levels > 0) & changed[owners])
-        if len(merged) == 0:
+        merged = levels > 0
+        if not merged.any():
             return False
         points = wp.clone(self._points)
         launch_over_layers(
             _place_boxes, dim=len(levels), inputs=[self._cells, tree.boxes], outputs=[points], device=self.device
         )
-        near = (levels[self.corners] > 0).any(axis=1)
-        triangles = _triangles(owners[self.corners[near]], splits.numpy()[near], self._crossings[near])
+        near = np.flatnonzero(merged[self.corners].any(axis=1))
+        corners = owners[self.corners[near]]
+        triangles = _triangles(corners, splits.numpy()[near], self._crossings[near])
+        mesh = self._mesh(points, triangles)
+        far = self._far_cells(mesh, np.flatnonzero(merged & changed[owners]))
+        off = self._far_triangles(points.numpy(), triangles, changed, merged)
+        if len(far) == 0 and len(off) == 0:
+            # Those that had been near may have been so to triangles around boxes that are not beside theirs.
+            far = self._far_cells(mesh, np.flatnonzero(merged & ~changed[owners]))
         refused = tree.boxes.refused.numpy()
-        far = self._far(self._mesh(points, triangles), self._points.numpy()[merged])
-        refused[owners[merged[far]]] = 1
-        triangles = triangles[changed[np.minimum(triangles, len(levels) - 1)].any(axis=1)]
-        samples = np.einsum("sk,mkc->smc", _SAMPLES, points.numpy()[triangles])
-        off = self._far(self._fine, samples.reshape(-1, 3)).reshape(len(_SAMPLES), -1).any(axis=0)
-        corners = triangles[off].ravel()
-        corners = corners[corners < len(levels)]
-        refused[corners[levels[corners] > 0]] = 1
+        refused[owners[far]] = 1
+        refused[self._boxes_at(triangles.corners[off], corners[triangles.quads[off]], merged)] = 1
         tree.boxes.refused.assign(refused)
-        return bool(far.any() or off.any())
+        return len(far) > 0 or len(off) > 0
 
     def _changed(self, owners: NDArray[np.int32], levels: NDArray[np.uint8]) -> NDArray[np.bool_]:
         """Return which owners (n,), as they are and with those around them, were not yet held against the cells."""
@@ -173,12 +178,50 @@ class BoxFlatness:
             changed[owners[self.corners[touched]]] = True
         return changed
 
-    def _mesh(self, points: wp.array, triangles: NDArray[np.int32]) -> wp.Mesh:
-        used, corners = np.unique(triangles, return_inverse=True)
-        return wp.Mesh(
-            points=wp.array(points.numpy()[used], dtype=wp.vec3, device=self.device),
-            indices=wp.array(corners.ravel().astype(np.int32), dtype=int, device=self.device),
-        )
+    def _mesh(self, points: wp.array, triangles: _Triangles) -> wp.Mesh:
+        return wp.Mesh(points=points, indices=wp.array(triangles.corners.ravel(), dtype=int, device=self.device))
+
+    def _far_cells(self, mesh: wp.Mesh, cells: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Return which vertices of cells, of the numbers ``cells``, are too far from the mesh with boxes."""
+        return cells[self._far(mesh, self._points.numpy()[cells])]
+
+    def _far_triangles(
+        self, points: NDArray[np.float32], triangles: _Triangles, changed: NDArray[np.bool_], merged: NDArray[np.bool_]
+    ) -> NDArray[np.intp]:
+        """Return which triangles with a changed corner are too far from the mesh of cells, of which they have points.
+
+        Those are their corners, the middles of their edges and their own: what they share is asked for once.
+        """
+        of_vertices = np.zeros(len(points), bool)
+        of_vertices[: len(changed)] = changed
+        asked = np.flatnonzero(of_vertices[triangles.corners].any(axis=1))
+        corners = triangles.corners[asked]
+        # Single cells' vertices are those of the mesh of cells itself.
+        far_points = np.zeros(len(points), bool)
+        far_points[corners] = True
+        far_points[: len(merged)] &= merged
+        numbers = np.flatnonzero(far_points)
+        far_points[numbers] = self._far(self._fine, points[numbers])
+        ends = np.sort(np.stack([corners, corners[:, [1, 2, 0]]], axis=-1).reshape(-1, 2), axis=1).astype(np.int64)
+        edges, edge_of = np.unique(ends[:, 0] * len(points) + ends[:, 1], return_inverse=True)
+        middles = 0.5 * (points[edges // len(points)] + points[edges % len(points)])
+        far = far_points[corners].any(axis=1)
+        far |= self._far(self._fine, middles)[edge_of].reshape(-1, 3).any(axis=1)
+        far |= self._far(self._fine, points[corners].mean(axis=1))
+        return asked[far]
+
+    def _boxes_at(
+        self, triangles: NDArray[np.int32], quads: NDArray[np.int32], merged: NDArray[np.bool_]
+    ) -> NDArray[np.int32]:
+        """Return the boxes at the corners of triangles (m, 3), or else at those of the quads (m, 4) that they are of.
+
+        Of a quad at a box a triangle may be between cells alone, where that of the cells is cut otherwise.
+        """
+        is_box = np.zeros(len(self._points), bool)
+        is_box[: len(merged)] = merged
+        without = ~is_box[triangles].any(axis=1)
+        corners = np.concatenate([triangles.ravel(), quads[without].ravel()])
+        return corners[is_box[corners]]
 
     def _far(self, mesh: wp.Mesh, points: NDArray[np.float32]) -> NDArray[np.bool_]:
         """Return which points (n, 3) are farther from a mesh than the flatness."""
