@@ -14,7 +14,6 @@ from fusion.reconstruction_config import ReconstructionConfig, check_meshing
 from fusion.reconstruction_files import RECORD_FILE, ReconstructionRecord
 from fusion.stopwatch import Stopwatch
 from fusion.surface.dual_contouring.depth_oracle import FIELD_MODULES, DepthField
-from fusion.surface.dual_contouring.dual_contouring import oracle_kernels
 from fusion.surface.dual_contouring.oracle import Oracle
 from fusion.surface.mesh import Mesh
 from fusion.surface.meshers import Mesher, OracleName, kernel_modules, mesh_volume
@@ -42,6 +41,8 @@ def mesh_fused(
     """
     oracle = None
     if asks_depth(config):
+        from fusion.surface.dual_contouring.dual_contouring import oracle_kernels  # noqa: PLC0415 - slow to import
+
         oracle = depth_oracle(volume, source, config.integration, clock=clock, progress=progress)
         load_kernels((), oracle_kernels(oracle), device=volume.device, progress=progress)
     advance = progress("mesh", 1)

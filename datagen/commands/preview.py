@@ -6,6 +6,7 @@ from pathlib import Path
 from datagen.commands.arguments import add_frames
 from datagen.errors import InputError
 from datagen.frame_selection import select_frames
+from datagen.interrupts import interrupts_held
 from datagen.open_dataset import open_dataset
 from datagen.progress import on_terminal
 
@@ -26,7 +27,8 @@ def add_options(command: argparse.ArgumentParser) -> None:
 
 def _run(options: argparse.Namespace) -> None:
     try:
-        from datagen.preview.make_preview import make_preview  # noqa: PLC0415 - an extra, which may not be there
+        with interrupts_held():  # trimesh, as in datagen.commands.command_line
+            from datagen.preview.make_preview import make_preview  # noqa: PLC0415 - an extra, which may not be there
     except ModuleNotFoundError as error:
         raise InputError(
             f'previews need the Python module {error.name}, which is not installed: pip install "scanback[preview]"'

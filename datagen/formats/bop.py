@@ -18,6 +18,7 @@ from datagen.formats.format import Conversion, DatasetFormat
 from datagen.formats.intrinsics_file import camera_from_matrix
 from datagen.formats.json_file import depth_scale, numbers, read_json_object
 from datagen.images import image_size
+from datagen.interrupts import interrupts_held
 from datagen.rigid import Matrix, inverse, rigid
 
 CAMERA_FILE = "scene_camera.json"
@@ -145,7 +146,8 @@ def _write_by_image(path: Path, entries: dict[int, Any]) -> None:
 
 def _write_model(mesh: Path, path: Path) -> None:
     """Write a mesh in metres as a model in millimetres."""
-    import trimesh  # noqa: PLC0415 - slow to import, and only this needs it
+    with interrupts_held():  # which trimesh would swallow
+        import trimesh  # noqa: PLC0415 - slow to import, and only this needs it
 
     try:
         model = trimesh.load(mesh, process=False, force="mesh")

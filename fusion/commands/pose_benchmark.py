@@ -10,6 +10,7 @@ from rich.table import Table
 
 from datagen.commands.arguments import add_json
 from datagen.errors import InputError
+from datagen.interrupts import interrupts_held
 from datagen.progress import on_terminal
 from fusion.commands.arguments import add_device, add_out_folder, add_voxel_size, print_json
 from fusion.pose_benchmark.object_box import ObjectBox
@@ -61,7 +62,8 @@ def add_options(command: argparse.ArgumentParser) -> None:
 
 def _run(options: argparse.Namespace) -> None:
     try:
-        from fusion.pose_benchmark.benchmark import BenchmarkConfig, run_benchmark  # noqa: PLC0415 - needs an extra
+        with interrupts_held():  # trimesh, as in datagen.commands.command_line
+            from fusion.pose_benchmark.benchmark import BenchmarkConfig, run_benchmark  # noqa: PLC0415 - needs an extra
     except ModuleNotFoundError as error:
         raise InputError(
             f'histograms need the Python module {error.name}, which is not installed: pip install "scanback[preview]"'

@@ -1,8 +1,8 @@
 """Which way a volume is meshed."""
 
+from collections.abc import Callable
 from typing import Literal, TypeAlias
 
-from fusion.surface.dual_contouring.dual_contouring import dual_contouring
 from fusion.surface.dual_contouring.oracle import Oracle
 from fusion.surface.marching_cubes import marching_cubes
 from fusion.surface.mesh import Mesh
@@ -48,7 +48,9 @@ _MERGING = (
 
 
 def kernel_modules(mesher: Mesher, *, flatness: float = 0.0) -> tuple[str, ...]:
-    """Return the names of the modules whose kernels ``mesh_volume`` launches."""
+    """Return the names of the modules whose kernels ``mesh_volume`` launches, imported."""
+    if mesher == "dual-contouring":
+        _dual_contouring()  # before any clock runs
     if mesher == "marching-cubes" or flatness == 0:
         return KERNEL_MODULES[mesher]
     merging = (f"fusion.surface.dual_contouring.{name}" for name in _MERGING)
@@ -69,6 +71,14 @@ def mesh_volume(
     ``oracle`` is dual contouring's, None for the volume itself, and so is ``flatness``, voxels, 0 for a vertex a cell.
     """
     if mesher == "dual-contouring":
-        return dual_contouring(volume, oracle=oracle, min_weight=min_weight, normals=normals, flatness=flatness)
+        mesh_it = _dual_contouring()
+        return mesh_it(volume, oracle=oracle, min_weight=min_weight, normals=normals, flatness=flatness)
     assert oracle is None, "marching cubes asks the volume alone"
     return marching_cubes(volume, min_weight=min_weight, normals=normals)
+
+
+def _dual_contouring() -> Callable[..., Mesh]:
+    # Its modules, more than forty, take nearly as long to import as Warp: what meshes otherwise does not wait for them.
+    from fusion.surface.dual_contouring.dual_contouring import dual_contouring  # noqa: PLC0415
+
+    return dual_contouring

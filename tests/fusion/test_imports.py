@@ -22,3 +22,11 @@ def test_help_waits_for_nothing_that_is_slow_to_import():
     loaded = loaded_by("from fusion.cli import main\ntry:\n    main(['--help'])\nexcept SystemExit:\n    pass")
     assert "fusion.cli" in loaded
     assert not loaded & {"numpy", "cv2", "warp", "trimesh", "scipy", "pydantic", "rich", "importlib.metadata"}
+
+
+def test_what_only_dual_contouring_needs_waits_for_it():
+    """Its kernels take as long to import as Warp does; marching cubes is the default."""
+    loaded = loaded_by("import fusion.commands.reconstruct, fusion.commands.locate, fusion.commands.estimate")
+    assert "fusion.surface.meshers" in loaded
+    assert "fusion.surface.dual_contouring.dual_contouring" not in loaded
+    assert not any(name.startswith("fusion.surface.dual_contouring.cell_merging") for name in loaded)
