@@ -70,7 +70,8 @@ class Kernel:
 def load(ptx: str, folder: Path, *, optimise: bool) -> ctypes.CDLL:
     """Return a PTX module as a library, compiled into ``folder`` unless it is there."""
     level = "-O1" if optimise else "-O0"
-    parts: Iterable[bytes] = [ptx.encode("latin1"), level.encode(), *(p.read_bytes() for p in sorted(_SOURCES))]
+    flags = " ".join((level, *_FLAGS))
+    parts: Iterable[bytes] = [ptx.encode("latin1"), flags.encode(), *(p.read_bytes() for p in sorted(_SOURCES))]
     digest = hashlib.sha256(b"\0".join(parts)).hexdigest()[:20]
     library = folder / f"ptx-{digest}.so"
     if not library.exists():
@@ -88,5 +89,6 @@ def load(ptx: str, folder: Path, *, optimise: bool) -> ctypes.CDLL:
 
 _SOURCES = [
     *_HERE.glob("*.h"),
-    *(_HERE / f"{n}.py" for n in ("translate", "instructions", "operands", "memory_instructions")),
+    *_HERE.glob("*instructions.py"),
+    *(_HERE / f"{n}.py" for n in ("translate", "operands")),
 ]

@@ -4,12 +4,19 @@ import atexit
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import warp as wp
 from warp._src import context
 
 from fusion.devices import resolve_device
 from ptx.device import Machine
+
+_SETTINGS = {
+    "cuda_output": "ptx",
+    # No kernel is to be given an array of another device: on this one it might even work.
+    "launch_array_access_mode": wp.config.LaunchArrayAccessMode.STRICT,
+}
 
 
 def _machine(*, optimise: bool) -> Machine:
@@ -21,7 +28,6 @@ def _machine(*, optimise: bool) -> Machine:
         runtime.driver_version = (13, 0)
         runtime.cuda_custom_context_count = [0]
         runtime.default_ptx_arch = 90
-        wp.config.cuda_output = "ptx"
     return runtime.core
 
 
@@ -40,23 +46,26 @@ def install(machine: Machine) -> None:
     runtime.cuda_primary_devices.append(device)
     runtime.device_map["cuda:0"] = device
     runtime.set_default_device("cuda:0")
-    # No kernel is to be given an array of another device: on this one it might even work.
-    wp.config.launch_array_access_mode = wp.config.LaunchArrayAccessMode.STRICT
+    for name, value in _SETTINGS.items():
+        setattr(wp.config, name, value)
 
 
-def _uninstall() -> None:
+def _uninstall(settings: dict[str, Any]) -> None:
     runtime = context.runtime
     runtime.cuda_devices.clear()
     runtime.cuda_primary_devices.clear()
     del runtime.device_map["cuda:0"]
     runtime.set_default_device("cpu")
-    wp.config.launch_array_access_mode = wp.config.LaunchArrayAccessMode.RELAXED
+    for name, value in settings.items():
+        setattr(wp.config, name, value)
 
 
 @contextmanager
 def ptx_device(*, late: bool = False, order: int = 0) -> Iterator[Machine]:
-    """Have Warp's ``cuda:0`` be PTX on the CPU: see ``Machine``."""
+    """Have Warp's ``cuda:0`` be PTX on the CPU: see ``Machine``; what it ``launched`` is counted from now on."""
     machine = _machine(optimise=False)
+    machine.launched.clear()
+    settings = {name: getattr(wp.config, name) for name in _SETTINGS}
     install(machine)
     machine.order, machine.streams.late = order, late
     try:
@@ -64,7 +73,7 @@ def ptx_device(*, late: bool = False, order: int = 0) -> Iterator[Machine]:
         machine.streams.synchronize()
     finally:
         machine.order, machine.streams.late = 0, False
-        _uninstall()
+        _uninstall(settings)
 
 
 def install_for_all(asked: str) -> None:

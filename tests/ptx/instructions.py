@@ -10,8 +10,9 @@ import re
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+from ptx.bit_instructions import dot, field, find_bit, logic, shift, words
 from ptx.memory_instructions import atomic, load, store, to_or_from_space
-from ptx.operands import UnknownPtxError, c_type, is_float, name_of, read, split, width_of, write
+from ptx.operands import UnknownPtxError, c_type, is_float, name_of, read, refuse_others, split, width_of, write
 
 if TYPE_CHECKING:
     from ptx.translate import Function
@@ -20,9 +21,14 @@ _MODES = {"rz": "FE_TOWARDZERO", "rm": "FE_DOWNWARD", "rp": "FE_UPWARD"}
 _COMPARISONS = {"eq": "==", "lt": "<", "le": "<=", "gt": ">", "ge": ">=", "lo": "<", "ls": "<=", "hi": ">", "hs": ">="}
 
 
+def _flushed(value: str, kind: str, modifiers: list[str]) -> str:
+    """Return a value whose subnormal numbers are 0 where an instruction says so."""
+    return f"ftz_{kind}({value})" if "ftz" in modifiers else value
+
+
 def _compare(modifiers: list[str], operands: list[str], function: Function) -> str:
     kind, comparison, rest = modifiers[-1], modifiers[0], modifiers[1:-1]
-    a, b = (read(o, kind, function) for o in operands[1:3])
+    a, b = (_flushed(read(o, kind, function), kind, rest) for o in operands[1:3])
     plain = comparison.removesuffix("u") if is_float(kind) and len(comparison) == 3 else comparison
     if comparison == "num":
         value = f"({a} == {a} && {b} == {b})"
@@ -54,14 +60,16 @@ def _convert(modifiers: list[str], operands: list[str], function: Function) -> s
         to + source if "f" in (to[0], source[0]) and "f16" in to + source else ""
     ):
         raise UnknownPtxError(f"cvt.{'.'.join(modifiers)}")
-    if "ftz" in how and source == "f32":
-        value = f"ftz_f32({value})"
+    if source == "f32":
+        value = _flushed(value, "f32", how)
     if is_float(source) and is_float(to):
         if mode in {"rni", "rzi", "rmi", "rpi"}:
             value = f"{mode}_{source}({value})"
         elif mode not in {None, "rn"}:
             raise UnknownPtxError(f"cvt.{'.'.join(modifiers)}")
         value = f"(({to}){value})"
+        if to == "f32":
+            value = _flushed(value, "f32", how)
         if "sat" in how:
             value = f"sat_{to}({value})"
     elif is_float(source):
@@ -85,7 +93,7 @@ def _arithmetic(operation: str, modifiers: list[str], operands: list[str], funct
         if set(how) - {"rn", "rz", "rm", "rp", "ftz", "sat", "approx", "full"}:
             raise UnknownPtxError(full)
         values = [read(o, kind, function) for o in operands[1:]]
-        values = [f"ftz_{kind}({v})" for v in values] if "ftz" in how else values
+        values = [_flushed(v, kind, how) for v in values]
         mode = next((_MODES[m] for m in how if m in _MODES), None)
         if mode:
             number = {"add": 0, "mul": 1, "fma": 2, "div": 3, "sqrt": 4}.get(operation)
@@ -94,7 +102,7 @@ def _arithmetic(operation: str, modifiers: list[str], operands: list[str], funct
             value = f"directed_{kind}({mode}, {number}, {', '.join([*values, '0', '0'][:3])})"
         else:
             value = _FLOATS[operation].format(*values, kind=kind)
-        value = f"ftz_{kind}({value})" if "ftz" in how else value
+        value = _flushed(value, kind, how)
         value = f"sat_{kind}({value})" if "sat" in how else value
         return write(operands[0], kind, value, function)
     width = width_of(kind)
@@ -137,16 +145,16 @@ _FLOATS = {
 
 def _minimum(operation: str, modifiers: list[str], operands: list[str], function: Function) -> str:
     kind = modifiers[-1]
-    if modifiers[:-1] and modifiers[:-1] != ["ftz"]:
-        raise UnknownPtxError(f"{operation}.{'.'.join(modifiers)}")
-    values = ", ".join(read(o, kind, function) for o in operands[1:])
+    refuse_others(operation, modifiers[:-1], {"ftz"})
+    values = ", ".join(_flushed(read(o, kind, function), kind, modifiers) for o in operands[1:])
     return write(operands[0], kind, f"{operation}_{kind}({values})", function)
 
 
 def _unary(operation: str, modifiers: list[str], operands: list[str], function: Function) -> str:
     """Return not, neg, abs, popc, clz, brev, cnot."""
     kind = modifiers[-1]
-    a, width = read(operands[1], kind, function), width_of(kind)
+    refuse_others(operation, modifiers[:-1], {"ftz"} if is_float(kind) else None)
+    a, width = _flushed(read(operands[1], kind, function), kind, modifiers), width_of(kind)
     if operation == "neg":
         value = f"-{a}" if is_float(kind) else f"({c_type(kind)})(0 - (u{width}){a})"
     elif operation == "abs":
@@ -164,28 +172,16 @@ def _unary(operation: str, modifiers: list[str], operands: list[str], function: 
     return write(operands[0], kind, value, function)
 
 
-def _logic(operation: str, modifiers: list[str], operands: list[str], function: Function) -> str:
-    kind = modifiers[-1]
-    sign = {"and": "&", "or": "|", "xor": "^"}[operation]
-    a, b = (read(o, kind, function) for o in operands[1:3])
-    return write(operands[0], kind, f"({a} {sign} {b})", function)
-
-
-def _shift(operation: str, modifiers: list[str], operands: list[str], function: Function) -> str:
-    kind = modifiers[-1]
-    name = f"shl_{width_of(kind)}" if operation == "shl" else f"shr_{c_type(kind)}"
-    value = f"{name}({read(operands[1], kind, function)}, {read(operands[2], 'u32', function)})"
-    return write(operands[0], kind, value, function)
-
-
 def _select(modifiers: list[str], operands: list[str], function: Function) -> str:
     kind = modifiers[-1]
+    refuse_others("selp", modifiers[:-1])
     a, b = (read(o, kind, function) for o in operands[1:3])
     return write(operands[0], kind, f"({read(operands[3], 'pred', function)} ? {a} : {b})", function)
 
 
 def _move(modifiers: list[str], operands: list[str], function: Function) -> str:
     kind = modifiers[-1]
+    refuse_others("mov", modifiers[:-1])
     target, source = operands
     if target.startswith("{"):
         registers = [r.strip() for r in target.strip("{} ").split(",")]
@@ -199,39 +195,6 @@ def _move(modifiers: list[str], operands: list[str], function: Function) -> str:
         pieces = [f"((u{width}){read(r, f'u{part}', function)} << {i * part})" for i, r in enumerate(registers)]
         return write(target, kind, " | ".join(pieces), function)
     return write(target, kind, read(source, kind, function), function)
-
-
-def _find_bit(modifiers: list[str], operands: list[str], function: Function) -> str:
-    kind = modifiers[-1]
-    value = f"bfind_{c_type(kind)}({read(operands[1], kind, function)})"
-    if "shiftamt" in modifiers:
-        value = f"shifted({value}, {width_of(kind)})"
-    return write(operands[0], "u32", value, function)
-
-
-def _field(operation: str, modifiers: list[str], operands: list[str], function: Function) -> str:
-    kind = modifiers[-1]
-    count = 2 if operation == "bfi" else 1
-    values = [read(o, kind, function) for o in operands[1 : 1 + count]]
-    values += [read(o, "u32", function) for o in operands[1 + count :]]
-    name = f"bfi_{width_of(kind)}" if operation == "bfi" else f"bfe_{c_type(kind)}"
-    return write(operands[0], kind, f"{name}({', '.join(values)})", function)
-
-
-def _words(name: str, operands: list[str], function: Function) -> str:
-    values = ", ".join(read(o, "u32", function) for o in operands[1:])
-    return write(operands[0], "u32", f"{name}({values})", function)
-
-
-def _dot(operation: str, modifiers: list[str], operands: list[str], function: Function) -> str:
-    """Return dp2a and dp4a: sums of products of a's halves or bytes with b's bytes."""
-    *half, a_kind, b_kind = modifiers
-    signs = f"{int(a_kind[0] == 's')}, {int(b_kind[0] == 's')}"
-    if {a_kind, b_kind} - {"u32", "s32"} or set(half) - {"lo", "hi"}:
-        raise UnknownPtxError(operation)
-    values = ", ".join(read(o, "u32", function) for o in operands[1:])
-    first = 2 if "hi" in half else 0
-    return write(operands[0], "u32", f"dot({2 if operation == 'dp2a' else 4}, {first}, {signs}, {values})", function)
 
 
 def _together(operation: str, modifiers: list[str], operands: list[str], function: Function) -> str:
@@ -273,12 +236,12 @@ _HANDLERS: dict[str, _Handler] = {
     ),
     **dict.fromkeys(("min", "max", "copysign"), _minimum),
     **dict.fromkeys(("not", "neg", "abs", "popc", "clz", "brev", "cnot"), _unary),
-    **dict.fromkeys(("and", "or", "xor"), _logic),
-    **dict.fromkeys(("shl", "shr"), _shift),
-    **dict.fromkeys(("bfi", "bfe"), _field),
+    **dict.fromkeys(("and", "or", "xor"), logic),
+    **dict.fromkeys(("shl", "shr"), shift),
+    **dict.fromkeys(("bfi", "bfe"), field),
     **dict.fromkeys(("bar", "barrier", "vote", "shfl", "activemask", "match", "redux"), _together),
-    **dict.fromkeys(("dp2a", "dp4a"), _dot),
-    "bfind": lambda _, m, o, f: _find_bit(m, o, f),
+    **dict.fromkeys(("dp2a", "dp4a"), dot),
+    "bfind": lambda _, m, o, f: find_bit(m, o, f),
     "ld": lambda _, m, o, f: load(m, o, f),
     "st": lambda _, m, o, f: store(m, o, f),
     "atom": lambda _, m, o, f: atomic(m, o, f, answers=True),
@@ -288,9 +251,9 @@ _HANDLERS: dict[str, _Handler] = {
     "cvt": lambda _, m, o, f: _convert(m, o, f),
     "cvta": lambda _, m, o, f: to_or_from_space(m, o, f),
     "mov": lambda _, m, o, f: _move(m, o, f),
-    "prmt": lambda _, _m, o, f: _words("prmt", o, f),
-    "lop3": lambda _, _m, o, f: _words("lop3", o, f),
-    "shf": lambda _, m, o, f: _words(f"shf_{m[0]}_{m[1]}", o, f),
+    "prmt": lambda _, m, o, f: words("prmt", m, o, f),
+    "lop3": lambda _, m, o, f: words("lop3", m, o, f),
+    "shf": lambda _, m, o, f: words(f"shf_{m[0]}_{m[1]}", m[2:], o, f),
     "call": lambda _, _m, o, f: _call(o, f),
     "bra": lambda _, _m, o, _f: _jump(o),
     "ret": lambda *_: "return;",

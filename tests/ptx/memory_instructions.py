@@ -83,7 +83,8 @@ def atomic(modifiers: list[str], operands: list[str], function: Function, *, ans
     kind = modifiers[-1]
     operation = next((m for m in modifiers if m in _ATOMICS), None)
     space = next((m.split("::")[0] for m in modifiers if m.split("::")[0] in _SPACES), "generic")
-    if operation is None:
+    known = {*_SPACES, *_ATOMICS, "relaxed", "acquire", "release", "acq_rel", "gpu", "cta", "sys"}
+    if operation is None or {m.split("::")[0] for m in modifiers[:-1]} - known:
         raise UnknownPtxError(f"atom.{'.'.join(modifiers)}")
     destination, *rest = operands if answers else ["_", *operands]
     pointer = _place(rest[0], space, kind, function, bytes_at_once=width_of(kind) // 8)
@@ -112,7 +113,9 @@ _ATOMICS = {
 
 def to_or_from_space(modifiers: list[str], operands: list[str], function: Function) -> str:
     """Return cvta: only shared memory has addresses of its own here."""
-    space = next(m.split("::")[0] for m in modifiers if m.split("::")[0] in _SPACES)
+    space = next((m.split("::")[0] for m in modifiers if m.split("::")[0] in _SPACES), None)
+    if space is None:
+        raise UnknownPtxError(f"cvta.{'.'.join(modifiers)}")
     value = read(operands[1], "u64", function)
     if space == "shared":
         value = f"{value} - (u64)t->shared" if "to" in modifiers else f"{value} + (u64)t->shared"

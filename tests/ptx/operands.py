@@ -30,6 +30,12 @@ _SPECIAL = {
 }
 
 
+def refuse_others(name: str, modifiers: list[str], known: set[str] | None = None) -> None:
+    """Raise UnknownPtxError where there are modifiers that are not known."""
+    if set(modifiers) - (known or set()):
+        raise UnknownPtxError(".".join([name, *modifiers]))
+
+
 def split(text: str) -> list[str]:
     """Return operands: what commas separate, but for those within brackets and braces."""
     return [part.strip() for part in re.split(r",(?![^{\[]*[}\]])", text) if part.strip()]

@@ -1,6 +1,7 @@
 """The oracle itself: instructions by the law of NVIDIA's "PTX ISA", and what CUDA promises of memory and streams."""
 
 import ctypes
+import itertools
 import math
 import struct
 
@@ -14,6 +15,8 @@ from ptx.translate import to_c
 
 _KINDS = {"f32": "f", "u32": "I", "s32": "i", "u64": "Q", "s64": "q", "f64": "d", "u16": "H", "s16": "h"}
 NAN, INF = math.nan, math.inf
+SUBNORMAL = 2.0**-140
+TOLD = "selp.u32 %{0}, 1, 0, %p;"
 LAWS = [
     ("fma.rn.f32 %{0}, %{1}, %{2}, %{3};", "f32", ["f32"] * 3, (1 + 2**-12, 1 + 2**-12, -1 - 2**-11), 2**-24),
     ("fma.rm.f32 %{0}, %{1}, %{2}, %{3};", "f32", ["f32"] * 3, (1.0, 1.0, -(2.0**-40)), 1 - 2**-24),
@@ -50,7 +53,16 @@ LAWS = [
     ("shf.l.wrap.b32 %{0}, %{1}, %{2}, 8;", "u32", ["u32"] * 2, (0x11223344, 0x55667788), 0x66778811),
     ("dp2a.lo.u32.u32 %{0}, %{1}, %{2}, %{3};", "u32", ["u32"] * 3, (0x00030002, 0x09080706, 5), 2 * 6 + 3 * 7 + 5),
     ("abs.s32 %{0}, %{1};", "s32", ["s32"], (-9,), 9),
+    ("abs.ftz.f32 %{0}, %{1};", "f32", ["f32"], (-SUBNORMAL,), 0.0),
+    ("neg.ftz.f32 %{0}, %{1};", "f32", ["f32"], (SUBNORMAL,), -0.0),
+    ("max.ftz.f32 %{0}, %{1}, %{2};", "f32", ["f32"] * 2, (SUBNORMAL, -1.0), 0.0),
+    ("max.f32 %{0}, %{1}, %{2};", "f32", ["f32"] * 2, (SUBNORMAL, -1.0), SUBNORMAL),
+    ("cvt.rn.ftz.f32.f64 %{0}, %{1};", "f32", ["f64"], (SUBNORMAL,), 0.0),
+    (".reg .pred %p;\nsetp.gt.ftz.f32 %p, %{1}, 0f00000000;\n" + TOLD, "u32", ["f32"], (SUBNORMAL,), 0),
+    (".reg .pred %p;\nsetp.gt.f32 %p, %{1}, 0f00000000;\n" + TOLD, "u32", ["f32"], (SUBNORMAL,), 1),
 ]
+AGES = itertools.count(1)
+"""Of memory: instructions remember where their addresses lay."""
 COMPARISONS = [("eq", 0), ("ne", 0), ("lt", 0), ("equ", 1), ("neu", 1), ("geu", 1), ("num", 0), ("nan", 1)]
 
 
@@ -76,7 +88,7 @@ def run(library, number, count=8, block=1, ranges=None):
     out = (ctypes.c_uint8 * count)()
     begin = ctypes.addressof(out)
     held = Range(begin, begin + count, 0) if ranges is None else ranges
-    launch = Launch(block=block, ranges_count=1, ranges=ctypes.addressof(held), age=1)
+    launch = Launch(block=block, ranges_count=1, ranges=ctypes.addressof(held), age=next(AGES))
     launch.grid[:] = (1, 1, 1)
     kernel = Kernel(library, f"k{number}_0_cuda_kernel_forward")
     pointer = ctypes.c_uint64(begin)
@@ -112,9 +124,23 @@ def test_instructions_do_what_the_isa_says(tmp_path):
 
 
 def test_what_is_not_known_is_named():
-    for text in ("frobnicate.b32 %out, %out;", "add.rn.bf16 %out, %out, %out;", "ld.global.weird.u32 %out, [%out];"):
+    for text in (
+        "frobnicate.b32 %out, %out;",
+        "add.rn.bf16 %out, %out, %out;",
+        "ld.global.weird.u32 %out, [%out];",
+        "prmt.b32.f4e %out, %out, %out, 0;",
+        "min.NaN.f32 %out, %out, %out;",
+        "abs.weird.f32 %out, %out;",
+        "atom.global.add.noftz.u32 %out, [%out], 1;",
+        "cvta.to.u64 %out, %out;",
+    ):
         with pytest.raises(UnknownPtxError, match=r"PTX line \d+: " + text.split()[0]):
             to_c(module_of([text]))
+
+
+def test_shared_memory_whose_size_a_launch_tells_is_not_put_where_other_memory_is():
+    with pytest.raises(UnknownPtxError, match="held"):
+        to_c(".extern .shared .align 16 .b8 held[];\n" + module_of(["mov.u64 %out, held;"]))
 
 
 def test_threads_wait_for_each_other_and_wrong_ones_are_told(tmp_path):

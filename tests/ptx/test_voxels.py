@@ -7,6 +7,7 @@ and by what the CPU's own result changes for cameras and truncations that differ
 
 import dataclasses
 import itertools
+from functools import cache
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ import warp as wp
 from synthetic_scene import SphereScene
 
 from datagen.camera import PinholeCamera
+from fusion.devices import resolve_device
 from fusion.frames import color_confidence, depth_tiles
 from fusion.frames.frame_batch import FrameUploader
 from fusion.integration import integrate, pixel_weights
@@ -70,16 +72,16 @@ def blocks_found(device, *, steps):
     return volume.table.blocks.numpy()[: volume.table.count]
 
 
-BLOCKS = {}
+@cache
+def blocks_of_cpu(*, steps):
+    return blocks_found(resolve_device("cpu"), steps=steps)
 
 
 def fused(device, options, *, steps, storage="full", nudge=(0, 0, 0)):
     """Return the voxels' sums by name, of the CPU's blocks."""
-    if steps not in BLOCKS:
-        BLOCKS[steps] = blocks_found(wp.get_device("cpu"), steps=steps)
     camera = dataclasses.replace(CAMERA, cx=CAMERA.cx + nudge[0] * NUDGE_PX, cy=CAMERA.cy + nudge[1] * NUDGE_PX)
     volume = empty_volume(device, storage, TRUNCATION * (1 + nudge[2] * NUDGE))
-    volume.table.adopt(BLOCKS[steps])
+    volume.table.adopt(blocks_of_cpu(steps=steps))
     volume.reserve(volume.table.count)
     integrate_batch(volume, uploaded(device, steps=steps, camera=camera), options)
     held = BLOCK_VOXELS * volume.table.count
@@ -139,7 +141,7 @@ def test_batches_that_take_turns_in_two_buffers_do_not_spoil_each_other(cpu, mac
     whole = averages(fused(cpu, PAPER, steps=True))
     monkeypatch.setattr(machine.streams, "late", late)
     volume = empty_volume(cuda, "full")
-    volume.table.adopt(BLOCKS[True])
+    volume.table.adopt(blocks_of_cpu(steps=True))
     volume.reserve(volume.table.count)
     upload = FrameUploader(CAMERA, device=cuda, capacity=1, depth_scale=DEPTH_SCALE)
     for frame in FRAMES:

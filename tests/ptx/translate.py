@@ -225,6 +225,8 @@ def to_c(ptx: str) -> str:
         called = re.match(r"(?:\.(?:visible|weak|extern)\s+)*\.func\b", ptx[start : start + 80])
         if brace is None or end < brace.start():
             variable = _variable(ptx[start:end])
+            if variable is not None and variable.space == "shared" and variable.bytes == 0:
+                raise UnknownPtxError(f"{variable.name}: shared memory whose size a launch tells")
             if variable is not None:
                 variables[variable.name] = variable
             elif not called:  # else it is only said to come
