@@ -24,7 +24,7 @@ _OTHER_LAYER = wp.constant(0.02)
 """Of the depth, from which on two neighbours' rays hit different parts of the model."""
 _LEFT_PX, _ROUNDNESS = 0.01, 0.25
 """An approach is found when the distance is right to so many pixels, on a body of a radius of this share of the
-model's diameter."""
+model's diameter. Along a facet the slope stays the same: up to its length times that slope it may be off by more."""
 _CORRECTION_VOXELS = 0.1
 """The most that a mesh between voxels is moved to where the surface is."""
 _LEAST_SLOPE = wp.constant(0.1)
