@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from datagen.camera import PinholeCamera
 from datagen.errors import InputError
+from datagen.interrupts import interrupts_held
 from datagen.open_dataset import open_dataset
 from datagen.rigid import Matrix, rigid
 from fusion.devices import Device
@@ -18,7 +19,6 @@ from fusion.pose.cad_model import (
     CadModel,
     Renderer,
     check_size,
-    read_cad_model,
     views_around,
 )
 from fusion.pose.pose_model import PoseModel, prepare_model
@@ -122,6 +122,9 @@ def open_cad_model(
     ``frames_for`` the epipolar one alone is given views: the model is what it is, and depth has nothing to learn from
     them. Raises InputError for a file that cannot be used, and a size that cannot be meant.
     """
+    with interrupts_held():  # which trimesh would swallow
+        from fusion.pose.cad_model_file import read_cad_model  # noqa: PLC0415 - slow to import, and only this needs it
+
     cad = read_cad_model(path, scale=scale)
     check_size(cad, typical_depth)
     model = _of_cad(cad, device)

@@ -30,3 +30,9 @@ def test_what_only_dual_contouring_needs_waits_for_it():
     assert "fusion.surface.meshers" in loaded
     assert "fusion.surface.dual_contouring.dual_contouring" not in loaded
     assert not any(name.startswith("fusion.surface.dual_contouring.cell_merging") for name in loaded)
+
+
+def test_locating_in_a_reconstruction_waits_for_no_reader_of_meshes():
+    loaded = loaded_by("import fusion.commands.locate")
+    assert "fusion.pose.target" in loaded
+    assert not loaded & {"trimesh", "networkx", "scipy.optimize"}

@@ -9,7 +9,8 @@ from three_balls import CAMERA, sphere_points
 from datagen.camera import PinholeCamera
 from datagen.errors import InputError
 from datagen.rigid import inverse, look_at, rotation_angle_deg, transform_points
-from fusion.pose.cad_model import CadModel, Renderer, check_size, read_cad_model, views_around
+from fusion.pose.cad_model import CadModel, Renderer, check_size, views_around
+from fusion.pose.cad_model_file import read_cad_model
 from fusion.pose.query import Query
 from fusion.pose.se3 import perturb
 from fusion.pose.stages import STAGES, refine
