@@ -15,6 +15,9 @@ def label(kernel: Any) -> str:
 
 
 def never_ran(machine: Machine, modules: Iterable[str], kernels: Iterable[Any] = ()) -> list[str]:
-    """Return the names of kernels of ``modules``, or among ``kernels``, that no launch ran yet."""
+    """Return the names of kernels of ``modules``, or among ``kernels``, that no launch of these tests ran yet.
+
+    So a test that asks is the last of its module, and comes with all others.
+    """
     asked = [kernel for name in modules for kernel in wp.get_module(name).kernels.values()]
     return sorted({label(kernel) for kernel in [*asked, *kernels]} - set(machine.launched))
