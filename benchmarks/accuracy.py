@@ -1,9 +1,9 @@
 """How exact is the surface fused from exact frames? A sphere, Suzanne and a table, at several voxel sizes.
 
-    python benchmarks/accuracy.py --depth-sampling bilinear --drop-off
-    python benchmarks/accuracy.py --depth-sampling bilinear --drop-off --mesher dual-contouring --oracle depth
-    python benchmarks/accuracy.py --depth-sampling bilinear --drop-off --truncation 2 --image-width 1280 --all-round
-    python benchmarks/accuracy.py --scenes suzanne --mesh dataset/ground_truth/mesh.ply --voxel-sizes 0.004
+    python -m benchmarks.accuracy --depth-sampling bilinear --drop-off
+    python -m benchmarks.accuracy --depth-sampling bilinear --drop-off --mesher dual-contouring --oracle depth
+    python -m benchmarks.accuracy --depth-sampling bilinear --drop-off --truncation 2 --image-width 1280 --all-round
+    python -m benchmarks.accuracy --scenes suzanne --mesh dataset/ground_truth/mesh.ply --voxel-sizes 0.004
 
 Depth is ray-cast at the pixels' centres, so all that a mesh departs from the truth is the fusion's own doing. The mesh
 is held against the whole truth, the truth that was observed (``fusion.evaluation.observed_surface``) against the mesh;
@@ -17,7 +17,6 @@ truth, and components.
 """
 
 import argparse
-import sys
 import time
 from pathlib import Path
 from typing import get_args
@@ -26,11 +25,6 @@ import numpy as np
 import warp as wp
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
-
-# Run as a script, this folder would hide the package that it measures: it has a file of that name.
-if __name__ == "__main__":
-    sys.path[:] = [entry for entry in sys.path if Path(entry or ".").resolve() != Path(__file__).resolve().parent]
-    sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.exact_scenes import CAMERA, SAMPLES, Scene, camera_of_width, make_scene, poses_around
 from fusion.devices import load_kernels, resolve_device
