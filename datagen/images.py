@@ -47,8 +47,19 @@ def read_depth_steps(path: Path, *, size: tuple[int, int]) -> NDArray[np.uint16]
         )
     _check_size(path, image, size)
     steps = image.astype(np.uint16, copy=False)
-    steps[steps == DEPTH_INVALID_MAX] = 0
+    clear_beyond(steps, DEPTH_INVALID_MAX - 1, out=steps)
     return steps
+
+
+def clear_beyond(steps: NDArray[np.generic], last: int, *, out: NDArray[np.uint16]) -> None:
+    """Write depth in steps to ``out``, contiguous and of the same shape, with 0, invalid, where it is beyond ``last``.
+
+    In one pass over both, which may be the same array: NumPy's masks take several times as long.
+    """
+    assert out.flags.c_contiguous, "OpenCV would write elsewhere"
+    assert out.shape == steps.shape, "OpenCV would write elsewhere"
+    assert out.dtype == steps.dtype == np.uint16, "steps of depth images are 16 bits"
+    cv2.threshold(np.ascontiguousarray(steps), last, 0, cv2.THRESH_TOZERO_INV, dst=out)
 
 
 def read_depth(path: Path, *, size: tuple[int, int], metres_per_step: float) -> NDArray[np.float32]:

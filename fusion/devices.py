@@ -157,7 +157,7 @@ class SlabLaunch:
         self._block_dim = block_dim if device.is_cuda else None
         self._dim = dim
         # Several slabs a core, so that a core which is done early takes over work.
-        self._slab = dim if device.is_cuda else min(max(-(-dim // (8 * _core_count())), least_slab), dim)
+        self._slab = dim if device.is_cuda else min(max(-(-dim // (8 * core_count())), least_slab), dim)
         self._idle: list[list[Any]] = []
 
     def run(self) -> None:
@@ -212,7 +212,7 @@ def map_on_cores(function: Callable[[_Item], None], items: Sequence[_Item]) -> N
 
 def _on_all_cores(work: Callable[[], None], *, tasks: int) -> None:
     """Run ``work``, which shares out tasks, on this thread and on those of the pool."""
-    others = [_pool().submit(work) for _ in range(min(_core_count(), tasks) - 1)]
+    others = [_pool().submit(work) for _ in range(min(core_count(), tasks) - 1)]
     try:
         work()
     finally:
@@ -221,10 +221,11 @@ def _on_all_cores(work: Callable[[], None], *, tasks: int) -> None:
         other.result()
 
 
-def _core_count() -> int:
+def core_count() -> int:
+    """Return how many cores this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @cache
 def _pool() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(_core_count(), thread_name_prefix="warp-slab")
+    return ThreadPoolExecutor(core_count(), thread_name_prefix="warp-slab")

@@ -9,6 +9,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from datagen.camera import PinholeCamera
+from datagen.images import DEPTH_INVALID_MAX, clear_beyond
 from datagen.rigid import Matrix, inverse
 from fusion.devices import Device, map_on_cores
 
@@ -157,8 +158,11 @@ def _fill(
     depth_rows, color_rows = buffers.host[0].numpy(), buffers.host[2].numpy()
 
     def copy(i: int) -> None:
-        np.copyto(depth_rows[i], depths[i], casting="no")
-        depth_rows[i][~np.isfinite(depth_rows[i]) if depth_rows.dtype == np.float32 else depth_rows[i] == 65535] = 0
+        if depth_rows.dtype == np.uint16:
+            clear_beyond(depths[i], DEPTH_INVALID_MAX - 1, out=depth_rows[i])
+        else:
+            np.copyto(depth_rows[i], depths[i], casting="no")
+            depth_rows[i][~np.isfinite(depth_rows[i])] = 0
         if colors is not None:
             np.copyto(color_rows[i], colors[i].reshape(color_rows[i].shape), casting="no")
 

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from datagen.dataset import Dataset
 from datagen.errors import InputError
-from datagen.images import DEPTH_INVALID_MAX
+from datagen.images import DEPTH_INVALID_MAX, clear_beyond
 from datagen.rigid import Matrix
+from fusion.devices import core_count
 from fusion.frames import survey
 from fusion.frames.frame_batch import MAX_BATCH
 from fusion.frames.survey import FrameSurvey
@@ -76,7 +77,8 @@ class FrameSource:
         self._cache_room = cache_bytes // (2 * dataset.camera.width * dataset.camera.height)
         self._cache: dict[int, Depth] = {}
         self._lock = threading.Lock()
-        self._pool = ThreadPoolExecutor(thread_name_prefix="decode")
+        # More threads than cores would only take them from the kernels in turn.
+        self._pool = ThreadPoolExecutor(core_count(), thread_name_prefix="decode")
 
     def __enter__(self) -> "FrameSource":
         """Return itself."""
@@ -131,7 +133,7 @@ class FrameSource:
         if frame_id in self._cache:
             return self._cache[frame_id]
         depth = self.dataset.depth_steps(frame_id)
-        depth[depth > self._last_step] = 0
+        clear_beyond(depth, self._last_step, out=depth)
         if frame_id not in self.surveys:
             self.surveys[frame_id] = survey.survey_frame(
                 self.dataset.camera, depth, self.poses[frame_id], depth_scale=self.dataset.depth_scale

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from datagen.errors import InputError
-from datagen.images import read_color, read_depth, write_color, write_depth
+from datagen.images import clear_beyond, read_color, read_depth, write_color, write_depth
 
 SIZE = (8, 6)
 STEP = 0.0001
@@ -13,6 +13,22 @@ def test_colour_survives_the_disk(tmp_path):
     color = np.random.default_rng(0).integers(0, 256, (6, 8, 3), dtype=np.uint8)
     write_color(tmp_path / "c.png", color)
     np.testing.assert_array_equal(read_color(tmp_path / "c.png", size=SIZE), color)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 7), (9, 1), (3, 5), (48, 64)])
+@pytest.mark.parametrize("last", [0, 1, 9999, 65534, 65535])
+def test_what_is_beyond_the_last_step_becomes_invalid_wherever_it_is_written(shape, last):
+    values = np.array([0, 1, 2, 9998, 9999, 10000, 32767, 32768, 65533, 65534, 65535], dtype=np.uint16)
+    images = np.random.default_rng(last).choice(values, size=(3, *shape))
+    expected, others = np.where(images[1] > last, 0, images[1]), images[::2].copy()
+    elsewhere = np.zeros(shape, dtype=np.uint16)
+    clear_beyond(images[1][::-1][::-1], last, out=elsewhere)
+    clear_beyond(images[1], last, out=images[1])
+    np.testing.assert_array_equal(elsewhere, expected)
+    np.testing.assert_array_equal(images[1], expected)
+    np.testing.assert_array_equal(images[::2], others)
+    clear_beyond(images[0][:, ::-1], last, out=elsewhere)
+    np.testing.assert_array_equal(elsewhere, np.where(others[0] > last, 0, others[0])[:, ::-1])
 
 
 @pytest.mark.parametrize(
