@@ -56,7 +56,8 @@ def kernel(depth_type: type, *, by_voxel: bool, bilinear: bool, weighted: bool, 
     """Return the kernel for the given options; its threads take a voxel each (for CUDA), or a block (for the CPU)."""
     constants = {"BILINEAR": bilinear, "WEIGHTED": weighted, "DROP_OFF": drop_off}
     declared = "".join(f"constexpr bool {name} = {str(value).lower()};\n" for name, value in constants.items())
-    # On CUDA a voxel's frames stay in registers one by one; others wait for memory in the meantime.
+    # On CUDA a voxel's frames stay in registers one by one; others wait for memory in the meantime. On the CPU a whole
+    # batch at a time is slower: what is kept of each frame has to stay in the first-level cache.
     lanes, frames_at_once = (1, 1) if by_voxel else (BLOCK_SIDE, 16)
     declared += f"constexpr int LANES = {lanes}, FRAMES = {frames_at_once};\n"
     frames_struct = frames_type(depth_type)

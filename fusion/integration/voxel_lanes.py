@@ -41,8 +41,7 @@ _BEGIN_IN_CPP = """
     const int height = frames.depth.shape[1], width = frames.depth.shape[2];
     const int tile_stride = frames.confidence.shape[2];
     const size_t size = (size_t)height * width, tiles_size = (size_t)frames.confidence.shape[1] * tile_stride;
-    const float bottom = (float)height, right = (float)width;
-    const float truncation = rules.truncation;
+    const float bottom = (float)height, right = (float)width, truncation = rules.truncation;
     float distances[LANES] = {0}, weights[LANES] = {0}, shades[LANES][4] = {{0}};  // red, green, blue, and their weight
     for (unsigned int left = frame_mask; left != 0;) {
         int count = 0, numbers[FRAMES], pixels[FRAMES][LANES], spots[FRAMES][LANES];
@@ -138,7 +137,8 @@ _MEASURE_IN_CPP = """
         }
 """
 
-# A colour's three bytes are read as the last of four: a fourth one after the image's last there is not.
+# A colour's three bytes are read as the last of four, as there is no fourth one after the last image's; but for the
+# very first colour, before which there is none.
 _COLOR_IN_CPP = """
         for (unsigned int near = 0; near < near_count; ++near) {
             const unsigned int at = nears[near], k = at / LANES, i = at % LANES, spot = spots[k][i];
