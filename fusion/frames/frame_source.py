@@ -133,7 +133,8 @@ class FrameSource:
         if frame_id in self._cache:
             return self._cache[frame_id]
         depth = self.dataset.depth_steps(frame_id)
-        clear_beyond(depth, self._last_step, out=depth)
+        if self._last_step < DEPTH_INVALID_MAX - 1:  # beyond that, reading has cleared it
+            clear_beyond(depth, self._last_step, out=depth)
         if frame_id not in self.surveys:
             self.surveys[frame_id] = survey.survey_frame(
                 self.dataset.camera, depth, self.poses[frame_id], depth_scale=self.dataset.depth_scale
